@@ -1,0 +1,27 @@
+"""`symsol-annot doctor`: say what this machine lacks for rendering."""
+
+import sys
+from pathlib import Path
+
+import click
+
+from symsol_annot import doctor as examination
+
+
+@click.command()
+@click.option("--install", is_flag=True, help="Install missing system libraries first (Debian and its kin, as root).")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Disk to look at."
+)
+def doctor(*, install: bool, out: Path) -> None:
+    """Say what this machine lacks for rendering, and the one line that installs it."""
+    if install:
+        examination.install_missing_packages()
+    is_well = True
+    for finding in examination.examine(out):
+        click.echo(f"{'ok  ' if finding.is_good else 'FAIL'}  {finding.what}: {finding.found}")
+        if finding.remedy:
+            click.echo("      " + finding.remedy.replace("\n", "\n      "))
+        is_well = is_well and finding.is_good
+    click.echo("Ready to render." if is_well else "Loading, verifying and scoring work regardless; rendering does not.")
+    sys.exit(0 if is_well else 1)

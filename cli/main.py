@@ -1,0 +1,44 @@
+"""The command's entry point: gathers the commands and turns errors into messages and exit codes.
+
+Exit codes: 0 done, 1 the input or the data is wrong, 2 the command line is, 130 interrupted.
+"""
+
+import sys
+
+import click
+from symsol_annot_cli.doctor import doctor
+from symsol_annot_cli.info import info
+from symsol_annot_cli.objects import objects
+from symsol_annot_cli.plot import plot
+from symsol_annot_cli.render import render
+from symsol_annot_cli.verify import verify
+
+from symsol_annot import SymsolError, __version__
+
+_INTERRUPTED = 130
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="symsol-annot")
+def app() -> None:
+    """Images of symmetric objects, each with the set of all rotations that could have produced it."""
+
+
+for command in (render, objects, doctor, info, verify, plot):
+    app.add_command(command)
+
+
+def main() -> None:
+    """Run the command line and exit."""
+    try:
+        code = app.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except SymsolError as error:
+        click.echo(f"Error: {error}", err=True)
+        code = 1
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("Interrupted.", err=True)
+        code = _INTERRUPTED
+    sys.exit(code or 0)

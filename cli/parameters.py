@@ -1,0 +1,32 @@
+"""What several commands share: the object parameter, the folder argument, the progress bar."""
+
+import sys
+from pathlib import Path
+
+import click
+from tqdm import tqdm
+
+from symsol_annot.errors import UnknownObjectError
+from symsol_annot.objects import ObjectSpec, load_object
+
+
+class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the checker alone
+    """The name of a built-in object or the path of an object's folder."""
+
+    name = "OBJECT"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> ObjectSpec:
+        """Load the object; an unknown one is a fault of the command line."""
+        try:
+            return load_object(value)
+        except UnknownObjectError as error:
+            self.fail(str(error), param, ctx)
+
+
+SET_FOLDER = click.argument("folder", metavar="DATA", type=click.Path(path_type=Path))
+SPLIT = click.option("--split", type=click.Choice(["train", "test"]), default="test", show_default=True)
+
+
+def progress_bar(total: int, unit: str) -> "tqdm[None]":
+    """Return a bar with rate and time left; quiet where standard error is no terminal."""
+    return tqdm(total=total, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)

@@ -1,0 +1,85 @@
+"""`symsol-annot render`: make an object's image set."""
+
+import os
+from functools import partial
+from pathlib import Path
+
+import click
+from symsol_annot_cli.parameters import ObjectType, progress_bar
+
+from symsol_annot.generate import ANNOTATE_CHOICES, SetPlan, generate
+from symsol_annot.manifest import SPLITS, Manifest
+from symsol_annot.object_check import check_object
+from symsol_annot.objects import ObjectSpec
+from symsol_annot.render_process import RenderProcess, check_blender_installed
+from symsol_annot.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, RenderSettings
+
+
+@click.command()
+@click.option("--object", "spec", type=ObjectType(), required=True, help="A built-in object, or a folder of your own.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Holds the sets.")
+@click.option("--train", type=click.IntRange(min=0), default=45000, show_default=True, help="Images to train on.")
+@click.option("--test", type=click.IntRange(min=0), default=5000, show_default=True, help="Images to test on.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random rotations.")
+@click.option("--size", type=click.IntRange(*SIZE_RANGE), default=DEFAULT_SIZE, show_default=True, help="In pixels.")
+@click.option("--engine", type=click.Choice(ENGINES), default=ENGINES[0], show_default=True, help="Blender's engine.")
+@click.option(
+    "--annotate",
+    type=click.Choice(ANNOTATE_CHOICES),
+    default=ANNOTATE_CHOICES[0],
+    show_default=True,
+    help="Which splits get symmetry sets.",
+)
+@click.option("--workers", type=click.IntRange(min=1), default=None, help="Blender processes.  [default: all cores]")
+def render(
+    spec: ObjectSpec,
+    out: Path,
+    train: int,
+    test: int,
+    seed: int,
+    size: int,
+    engine: str,
+    annotate: str,
+    workers: int | None,
+) -> None:
+    """Make an object's image set: RGB, segmentation and symmetry sets, in HDF5 shards.
+
+    With nothing but --object it makes the published set. The same command again goes on where it stopped.
+    """
+    if train == test == 0:
+        raise click.UsageError("--train and --test are both 0, which makes no set; --train 0 alone is fine")
+    check_blender_installed()
+    check_object(spec)
+    camera, settings = Camera.filling(size), RenderSettings(engine)
+    plan = SetPlan(spec, {"train": train, "test": test}, seed, camera, settings, annotate)
+    folder = out / spec.name
+    with progress_bar(train + test, "image") as bar:
+        bar.set_description(spec.name)
+        try:
+            manifest = generate(
+                plan, folder, partial(RenderProcess, spec, camera, settings), workers or _cores(), bar.update
+            )
+        except KeyboardInterrupt:
+            bar.close()
+            click.echo(f"Interrupted. Finished shards in {folder} are kept; the same command goes on.", err=True)
+            raise
+    _summarise(folder, manifest)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _summarise(folder: Path, manifest: Manifest) -> None:
+    click.echo(f"{folder}: {manifest.recipe['object']}, fingerprint {manifest.fingerprint}")
+    for split in SPLITS:
+        entries = manifest.of_split(split)
+        if entries:
+            mebibytes = sum(entry.bytes or 0 for entry in entries) / 2**20
+            sets = "with symmetry sets" if manifest.is_annotated(split) else "without symmetry sets"
+            click.echo(f"  {split}: {manifest.images(split)} images {sets}, {len(entries)} shards, {mebibytes:.1f} MiB")
+    split = "test" if manifest.images("test") else "train"
+    click.echo(
+        f"Next:\n  symsol-annot verify {folder}\n  symsol-annot plot {folder} --split {split}\n"
+        f'  python -c "import symsol_annot; print(symsol_annot.load({str(folder)!r}, {split!r})[0])"'
+    )

@@ -1,0 +1,91 @@
+"""`symsol-annot verify`: check a set, and draw images of it again."""
+
+import sys
+from pathlib import Path
+
+import click
+import numpy as np
+from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, progress_bar
+
+from symsol_annot import dataset
+from symsol_annot.audit import AuditReport, audit
+from symsol_annot.errors import DataError
+from symsol_annot.manifest import Manifest, read_manifest
+from symsol_annot.objects import ObjectSpec, load_object
+from symsol_annot.render_process import RenderProcess
+from symsol_annot.scene import Camera, RenderSettings
+from symsol_annot.verify import verify as find_faults
+
+
+@click.command()
+@SET_FOLDER
+@click.option("--audit", "audited", metavar="K", type=click.IntRange(min=1), help="Draw K images of each set again.")
+@click.option(
+    "--object", "spec", type=ObjectType(), help="For --audit, where the set's object is a folder of your own."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the audit's choice.")
+def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int) -> None:
+    """Check that a set is whole and consistent.
+
+    DATA is a set like data/cylO, or a folder of sets like data. With --audit, images and candidate rotations
+    are drawn again: members of a symmetry set must draw the image, rejected candidates must not.
+    """
+    faults = []
+    for set_folder in _sets_in(folder):
+        found = _verify_set(set_folder)
+        if audited and not found:
+            found = _audit_set(set_folder, audited, spec, np.random.default_rng(seed))
+        faults += found
+    sys.exit(1 if faults else 0)
+
+
+def _sets_in(folder: Path) -> list[Path]:
+    sets = sorted(path.parent for path in folder.glob("*/manifest.json"))
+    return sets if sets and not (folder / "manifest.json").exists() else [folder]
+
+
+def _verify_set(folder: Path) -> list[str]:
+    manifest = read_manifest(folder)
+    with progress_bar(len(manifest.shards), "shard") as bar:
+        faults = find_faults(folder, bar.update)
+    for fault in faults:
+        click.echo(f"FAULT {folder}: {fault}")
+    images = sum(entry.images for entry in manifest.shards)
+    summary = f"{len(faults)} faults" if faults else "whole and consistent"
+    click.echo(f"{folder}: {len(manifest.shards)} shards, {images} images: {summary}")
+    return faults
+
+
+def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.random.Generator) -> list[str]:
+    manifest = read_manifest(folder)
+    split = next(
+        (split for split in ("test", "train") if manifest.images(split) and manifest.is_annotated(split)), None
+    )
+    if split is None:
+        raise DataError(f"{folder}: has no split with symmetry sets, so there is nothing to audit")
+    spec = given or load_object(manifest.recipe["object"])
+    if spec.digest != manifest.recipe["object_sha256"]:
+        raise DataError(
+            f"{folder}: was made from another {spec.name} than the one here (their digests differ); "
+            "give the object's folder with --object"
+        )
+    with _renderer(manifest, spec) as renderer, progress_bar(count, "image") as bar:
+        report = audit(dataset.load(folder, split), spec, renderer, count, rng, bar.update)
+    _print_report(folder, report)
+    return report.faults
+
+
+def _renderer(manifest: Manifest, spec: ObjectSpec) -> RenderProcess:
+    recipe = manifest.recipe
+    return RenderProcess(spec, Camera(**recipe["camera"]), RenderSettings.from_dict(recipe["render"]))
+
+
+def _print_report(folder: Path, report: AuditReport) -> None:
+    for fault in report.faults:
+        click.echo(f"FAULT {folder}: {fault}")
+    click.echo(
+        f"{folder}: drew {report.images} images again, with {report.members} members of their sets and "
+        f"{report.rejected} rejected candidates: {len(report.faults)} faults\n"
+        f"  rejected candidates that draw the same pixels, for the marking shows too little: {report.near_neighbours}\n"
+        f"  candidates that show the marking by less than the tolerance: {report.within_tolerance}"
+    )

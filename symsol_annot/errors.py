@@ -1,0 +1,75 @@
+"""The exceptions that this package raises on bad input.
+
+    SymsolError
+    ├── ObjectError             an object's object.toml or mesh.obj is broken
+    │   └── UnknownObjectError      there is no object of that name or path
+    ├── SettingsError           a number that makes no sense: a negative count, a size of 0
+    ├── RotationError           an array that should hold rotations does not
+    ├── DataError               a shard, a manifest or a folder of them is missing or damaged
+    │   ├── DifferentSetError   the output folder already holds another set
+    │   └── NotAnnotatedError   symmetry sets asked of a split that was rendered without
+    ├── OutputError             a file cannot be written: permission, disk full
+    └── RenderError             Blender cannot start, or stopped
+        ├── RendererMissingError    something that Blender needs is not installed
+        └── RendererCrashedError    Blender's process ended in the middle of its work
+
+Every message says what was expected, what was found, where, and what to do next.
+"""
+
+from collections.abc import Sequence
+
+
+class SymsolError(Exception):
+    """The root of this package's exceptions."""
+
+
+class ObjectError(SymsolError):
+    """An object's object.toml or mesh.obj is broken."""
+
+
+class UnknownObjectError(ObjectError):
+    """There is no object of that name or path."""
+
+
+class SettingsError(SymsolError):
+    """A setting has a value that makes no sense."""
+
+
+class RotationError(SymsolError):
+    """An array that should hold rotations does not."""
+
+
+class DataError(SymsolError):
+    """A shard, a manifest or a folder of them is missing or damaged."""
+
+
+class DifferentSetError(DataError):
+    """The output folder already holds a set made with other settings."""
+
+    def __init__(self, folder: str, differences: Sequence[str]) -> None:
+        super().__init__(
+            f"{folder} already holds another set; nothing was touched. It differs in:\n"
+            + "\n".join(f"  - {line}" for line in differences)
+            + "\nUse another --out folder, or delete that one."
+        )
+        self.differences = tuple(differences)
+
+
+class NotAnnotatedError(DataError):
+    """Symmetry sets were asked of a split that was rendered without them."""
+
+
+class OutputError(SymsolError):
+    """A file cannot be written."""
+
+
+class RenderError(SymsolError):
+    """Blender cannot start, or stopped."""
+
+
+class RendererMissingError(RenderError):
+    """Something that Blender needs is not installed."""
+
+
+class RendererCrashedError(RenderError):
+    """Blender's process ended in the middle of its work."""

@@ -1,0 +1,78 @@
+"""Writing files so that a reader never sees half of one."""
+
+import contextlib
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from symsol_annot.errors import OutputError
+
+PARTIAL_SUFFIX = ".partial"
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write beside the name, make sure it reached the disk, and rename into place.
+
+    Raises:
+        OutputError: the disk is full or the folder not writable; nothing is left beside the name.
+    """
+    partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
+    with output_errors(path):
+        try:
+            with partial.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            partial.replace(path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                partial.unlink()
+            raise
+        _sync_folder(path.parent)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and its parents where they are missing.
+
+    Raises:
+        OutputError: it cannot be made, or cannot be written to.
+    """
+    with output_errors(path):
+        path.mkdir(parents=True, exist_ok=True)
+        if not os.access(path, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, "no write permission")
+
+
+def remove_partial_files(folder: Path) -> None:
+    """Remove what a killed run left half-written."""
+    with output_errors(folder):
+        for partial in folder.glob(f".*{PARTIAL_SUFFIX}"):
+            partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def output_errors(path: Path) -> Iterator[None]:
+    """Turn the operating system's errors into an OutputError that names the path and what to do."""
+    try:
+        yield
+    except OSError as error:
+        advice = {
+            errno.ENOSPC: "the disk is full: make room, then run the same command again; finished shards are kept",
+            errno.EDQUOT: "the disk quota is used up: make room, then run the same command again",
+            errno.EACCES: "no write permission: choose another folder with --out, or change its permissions",
+            errno.EPERM: "no write permission: choose another folder with --out, or change its permissions",
+            errno.EROFS: "the file system is read-only: choose another folder with --out",
+            errno.ENOTDIR: "a part of the path is a file, not a folder: choose another folder with --out",
+            errno.EEXIST: "is a file, not a folder: choose another folder with --out",
+        }.get(error.errno or 0, error.strerror or str(error))
+        raise OutputError(f"{path}: cannot be written: {advice}") from None
+
+
+def _sync_folder(folder: Path) -> None:
+    if os.name == "posix":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,280 @@
+"""Making a set: a plan of shards, carried out by workers that each hold a renderer.
+
+The plan depends on nothing but the settings, and a shard on nothing but the plan, so that the bytes are the
+same whatever the number of workers and the order they worked in.
+"""
+
+import hashlib
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+import h5py
+import numpy as np
+
+from symsol_annot import __version__
+from symsol_annot.annotate import annotate, is_shown, marking_pixels
+from symsol_annot.errors import DataError, DifferentSetError, SettingsError
+from symsol_annot.files import make_folder, remove_partial_files, write_atomically
+from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.objects import ObjectSpec
+from symsol_annot.scene import Camera, Renderer, RenderSettings
+from symsol_annot.shards import ImageRecord, ShardFile, ShardHeader, ShardWriter
+from symsol_annot.so3 import Rotations, uniform_rotations
+
+ANNOTATE_CHOICES = ("test", "all", "none")
+MAX_IMAGES_PER_SHARD = 500
+_MAX_PIXELS_PER_SHARD = 2**25  # a shard is built in memory
+_SMALL_SET_SHARDS = 8  # a small set is still divided, so that several workers have work
+_MIN_IMAGES_PER_SHARD = 16
+
+OpenRenderer = Callable[[], Renderer]
+OnImage = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class SetPlan:
+    """All that decides a set's bytes.
+
+    Attributes:
+        spec: the object.
+        images: how many images a split has, by split.
+        seed: of the random rotations.
+        camera: what the object is seen through.
+        settings: how it is drawn.
+        annotate: which splits get symmetry sets: "test", "all" or "none".
+    """
+
+    spec: ObjectSpec
+    images: dict[str, int]
+    seed: int
+    camera: Camera
+    settings: RenderSettings
+    annotate: str
+
+    def __post_init__(self) -> None:
+        """Refuse counts and choices that make no set."""
+        if any(count < 0 for count in self.images.values()) or not any(self.images.values()):
+            raise SettingsError(f"images: expected counts of 0 or more that are not all 0, found {self.images}")
+        if set(self.images) - set(SPLITS):
+            raise SettingsError(f"splits: expected {', '.join(SPLITS)}, found {', '.join(self.images)}")
+        if self.annotate not in ANNOTATE_CHOICES:
+            raise SettingsError(f"annotate: expected one of {', '.join(ANNOTATE_CHOICES)}, found {self.annotate!r}")
+        if self.seed < 0:
+            raise SettingsError(f"seed: expected 0 or more, found {self.seed}")
+
+    def manifest(self) -> Manifest:
+        """Return the manifest of the set before its first shard is written."""
+        recipe = {
+            "object": self.spec.name,
+            "object_sha256": self.spec.digest,
+            "seed": self.seed,
+            "camera": self.camera.to_dict(),
+            "render": self.settings.to_dict(),
+            "tolerance_px": self.spec.marking.tolerance_px if self.spec.marking else None,
+            "annotate": self.annotate,
+        }
+        return Manifest(recipe, tuple(entry for split in SPLITS for entry in self._shards(split)))
+
+    def _shards(self, split: str) -> Iterator[ShardEntry]:
+        images = self.images.get(split, 0)
+        fitting = max(1, _MAX_PIXELS_PER_SHARD // (self.camera.width * self.camera.height))
+        per_shard = max(_MIN_IMAGES_PER_SHARD, -(-images // _SMALL_SET_SHARDS))
+        per_shard = min(per_shard, MAX_IMAGES_PER_SHARD, fitting)
+        count = -(-images // per_shard)
+        for number in range(count):
+            first = number * per_shard
+            name = f"{split}-{number:05d}-of-{count:05d}.h5"
+            yield ShardEntry(name, split, first, min(per_shard, images - first))
+
+
+def label_rotation(seed: int, object_name: str, split: str, index: int) -> Rotations:
+    """Return the rotation (3, 3) of one image: uniform on SO(3), from these four values alone."""
+    key = hashlib.sha256(f"{seed}/{object_name}/{split}/{index}".encode()).digest()
+    rng = np.random.Generator(np.random.Philox(key=np.frombuffer(key[:16], dtype="<u8")))
+    return uniform_rotations(1, rng)[0]
+
+
+def generate(
+    plan: SetPlan, folder: Path, open_renderer: OpenRenderer, workers: int = 1, on_image: OnImage = lambda: None
+) -> Manifest:
+    """Make the shards of a plan that the folder does not hold yet, and return the finished manifest.
+
+    Args:
+        plan: the set.
+        folder: where its shards and its manifest go.
+        open_renderer: starts a renderer; each worker calls it once.
+        workers: how many shards are made at the same time.
+        on_image: called after each image, also for those of shards that are there already.
+
+    Raises:
+        DifferentSetError: the folder holds another set; nothing was touched.
+        DataError: a finished shard in the folder is damaged.
+        OutputError: the folder cannot be written to.
+        RenderError: a renderer failed; finished shards are kept.
+    """
+    manifest = _open_set(plan, folder)
+    for entry in manifest.shards:
+        if entry.is_finished:
+            for _ in range(entry.images):
+                on_image()
+    _Run(plan, folder, open_renderer, on_image, manifest).carry_out(workers)
+    return read_manifest(folder)
+
+
+def _open_set(plan: SetPlan, folder: Path) -> Manifest:
+    """Return the manifest to go on from: the one that is there, if it is of this plan, or a new one; touch nothing."""
+    planned = plan.manifest()
+    if (folder / MANIFEST_NAME).exists():
+        manifest = read_manifest(folder)
+        differences = planned.differences(manifest)
+        if differences:
+            raise DifferentSetError(str(folder), differences)
+        damaged = [entry.file for entry in manifest.shards if entry.is_finished and not _is_whole(folder, entry)]
+        if damaged:
+            raise DataError(
+                f"{folder}: finished shards are missing or damaged: {', '.join(damaged)}. "
+                "`symsol-annot verify` says more; delete the folder, or fetch those shards again"
+            )
+        return manifest
+    foreign = sorted(path.name for path in folder.glob("*.h5")) if folder.is_dir() else []
+    if foreign:
+        raise DifferentSetError(str(folder), [f"it holds {foreign[0]} without a {MANIFEST_NAME}"])
+    return planned
+
+
+def _is_whole(folder: Path, entry: ShardEntry) -> bool:
+    try:
+        with (folder / entry.file).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() == entry.sha256
+    except OSError:
+        return False
+
+
+class _Run:
+    """One carrying-out of a plan; its threads share the queue of shards, the manifest and the will to stop."""
+
+    def __init__(
+        self, plan: SetPlan, folder: Path, open_renderer: OpenRenderer, on_image: OnImage, manifest: Manifest
+    ) -> None:
+        self._plan, self._folder, self._open_renderer, self._on_image = plan, folder, open_renderer, on_image
+        self._manifest = manifest
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._is_prepared = False
+        self._renderers: list[Renderer] = []
+        self._queue: SimpleQueue[ShardEntry] = SimpleQueue()
+        self._unfinished = [entry for entry in manifest.shards if not entry.is_finished]
+        for entry in self._unfinished:
+            self._queue.put(entry)
+
+    def carry_out(self, workers: int) -> None:
+        """Make all unfinished shards; on an error or Ctrl-C, stop at once and keep the finished ones."""
+        threads = max(1, min(workers, len(self._unfinished)))
+        if not self._unfinished:
+            return
+        with ThreadPoolExecutor(threads, thread_name_prefix="shard") as pool:
+            futures = [pool.submit(self._work) for _ in range(threads)]
+            try:
+                done, _ = wait(futures, return_when=FIRST_EXCEPTION)
+            except BaseException:
+                self._stop()
+                raise
+            failed = [future for future in done if future.exception() is not None]
+            if failed:
+                self._stop()
+                failed[0].result()
+
+    def _stop(self) -> None:
+        self._stopping.set()
+        with self._lock:
+            for renderer in self._renderers:
+                renderer.close()
+
+    def _work(self) -> None:
+        with self._open_renderer() as renderer:
+            with self._lock:
+                self._renderers.append(renderer)
+                self._prepare_folder()
+            while not self._stopping.is_set():
+                try:
+                    entry = self._queue.get_nowait()
+                except Empty:
+                    return
+                shard = make_shard(self._plan, entry, renderer, self._image_done)
+                self._keep(entry, shard)
+
+    def _prepare_folder(self) -> None:
+        """Write the manifest before the first shard, but only once there is a renderer to make it."""
+        if not self._is_prepared:
+            make_folder(self._folder)
+            remove_partial_files(self._folder)
+            write_manifest(self._folder, self._manifest)
+            self._is_prepared = True
+
+    def _image_done(self) -> None:
+        if self._stopping.is_set():
+            raise _StoppedError
+        with self._lock:
+            self._on_image()
+
+    def _keep(self, entry: ShardEntry, shard: ShardFile) -> None:
+        write_atomically(self._folder / entry.file, shard.data)
+        sha256 = hashlib.sha256(shard.data).hexdigest()
+        with self._lock:
+            self._manifest = self._manifest.with_finished(
+                replace(entry, bytes=len(shard.data), sha256=sha256, content_sha256=shard.content_sha256)
+            )
+            write_manifest(self._folder, self._manifest)
+
+
+class _StoppedError(Exception):
+    """Another worker failed, or the user pressed Ctrl-C."""
+
+
+def make_shard(plan: SetPlan, entry: ShardEntry, renderer: Renderer, on_image: OnImage) -> ShardFile:
+    """Draw and annotate the images of one shard."""
+    spec = plan.spec
+    header = ShardHeader(
+        object=spec.name,
+        object_sha256=spec.digest,
+        split=entry.split,
+        first_index=entry.first_index,
+        seed=plan.seed,
+        camera=plan.camera.to_dict(),
+        render=plan.settings.to_dict(),
+        tolerance_px=spec.marking.tolerance_px if spec.marking else np.nan,
+        versions=software_versions(renderer),
+    )
+    annotated = plan.annotate in ("all", entry.split)
+    writer = ShardWriter(header, entry.images, spec.symmetry_group, annotated=annotated)
+    candidates = within_tolerance = 0
+    try:
+        for index in range(entry.first_index, entry.first_index + entry.images):
+            R_gt = label_rotation(plan.seed, spec.name, entry.split, index)
+            pixels = marking_pixels(spec, R_gt, renderer)
+            mask = None
+            if annotated:
+                annotation = annotate(spec, R_gt, pixels, renderer)
+                mask, drawn = annotation.mask, annotation.candidate_pixels
+                candidates += int(np.count_nonzero(np.isfinite(drawn)))
+                within_tolerance += int(np.count_nonzero((drawn > 0) & ~is_shown(spec, drawn)))
+            writer.add(ImageRecord(renderer.render(R_gt), R_gt, pixels, mask))
+            on_image()
+        return writer.finish({"candidates_drawn": candidates, "candidates_within_tolerance": within_tolerance})
+    finally:
+        writer.close()
+
+
+def software_versions(renderer: Renderer) -> dict[str, str]:
+    """Return the software that decides a shard's bytes: name to version."""
+    return {
+        "symsol-annot": __version__,
+        "numpy": np.__version__,
+        "h5py": h5py.__version__,
+        "hdf5": h5py.version.hdf5_version,
+        **renderer.versions,
+    }

@@ -1,0 +1,211 @@
+"""manifest.json: what a set consists of, beside its shards.
+
+It is written before the first shard, says of each shard that is finished what its bytes are, and carries a
+digest of itself. `fingerprint` names the finished set by its contents.
+"""
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from symsol_annot.errors import DataError
+from symsol_annot.files import write_atomically
+
+MANIFEST_NAME = "manifest.json"
+MANIFEST_FORMAT = "symsol-annot set"
+MANIFEST_FORMAT_VERSION = 1
+SPLITS = ("train", "test")
+
+
+@dataclass(frozen=True)
+class ShardEntry:
+    """One shard of the plan; the last three are None until it is finished.
+
+    Attributes:
+        file: its name in the folder.
+        split: "train" or "test".
+        first_index: the index within the split of its first image.
+        images: how many it holds.
+        bytes: the file's size.
+        sha256: of the file.
+        content_sha256: of its arrays, as `shards.content_sha256`.
+    """
+
+    file: str
+    split: str
+    first_index: int
+    images: int
+    bytes: int | None = None
+    sha256: str | None = None
+    content_sha256: str | None = None
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the shard was written."""
+        return self.sha256 is not None
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A set: what it was made from, and its shards.
+
+    Attributes:
+        recipe: what decides the contents: object, object_sha256, seed, camera, render, tolerance_px, annotate.
+        shards: all planned shards, train before test, in order.
+    """
+
+    recipe: dict[str, Any]
+    shards: tuple[ShardEntry, ...]
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether every shard was written."""
+        return all(shard.is_finished for shard in self.shards)
+
+    @property
+    def fingerprint(self) -> str | None:
+        """The SHA-256 over recipe and contents of a finished set; None before."""
+        return self._digest(self.shards) if self.is_finished else None
+
+    def split_fingerprint(self, split: str) -> str | None:
+        """Return the same over one split alone, so that it does not depend on whether the other was rendered."""
+        shards = self.of_split(split)
+        return self._digest(shards) if shards and all(shard.is_finished for shard in shards) else None
+
+    def of_split(self, split: str) -> tuple[ShardEntry, ...]:
+        """Return a split's shards in order."""
+        return tuple(shard for shard in self.shards if shard.split == split)
+
+    def images(self, split: str) -> int:
+        """Return how many images a split has."""
+        return sum(shard.images for shard in self.of_split(split))
+
+    def is_annotated(self, split: str) -> bool:
+        """Tell whether a split carries symmetry sets."""
+        return self.recipe["annotate"] in ("all", split)
+
+    def with_finished(self, entry: ShardEntry) -> "Manifest":
+        """Return the manifest with one shard's entry replaced."""
+        return replace(self, shards=tuple(entry if shard.file == entry.file else shard for shard in self.shards))
+
+    def differences(self, other: "Manifest") -> list[str]:
+        """Say in what the plan of another set differs: one line each."""
+        pairs = [(key, other.recipe.get(key), value) for key, value in self.recipe.items()]
+        pairs += [(f"{split} images", other.images(split), self.images(split)) for split in SPLITS]
+        lines = [f"{what}: there {theirs!r}, asked for {ours!r}" for what, theirs, ours in pairs if theirs != ours]
+        plans = [[(s.file, s.first_index, s.images) for s in manifest.shards] for manifest in (self, other)]
+        if not lines and plans[0] != plans[1]:
+            lines.append("the division into shards")
+        return lines
+
+    def _digest(self, shards: tuple[ShardEntry, ...]) -> str:
+        made_from = {key: self.recipe[key] for key in ("object", "object_sha256", "seed", "camera")}
+        contents = [[shard.split, shard.first_index, shard.images, shard.content_sha256] for shard in shards]
+        return _sha256_of_json({**made_from, "contents": contents})
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write a set's manifest.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    write_atomically(folder / MANIFEST_NAME, _serialise(manifest))
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read a set's manifest and check it against its own digest.
+
+    Raises:
+        DataError: it is missing, damaged, or of another format version.
+    """
+    path = folder / MANIFEST_NAME
+    try:
+        data = path.read_bytes()
+        document = json.loads(data)
+    except FileNotFoundError:
+        raise DataError(f"{folder}: holds no {MANIFEST_NAME}; {_hint(folder)}") from None
+    except NotADirectoryError:
+        raise DataError(f"{folder}: is a file; a set is a folder, like data/cylO") from None
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read as JSON: {error}") from None
+    if not isinstance(document, dict) or document.get("format") != MANIFEST_FORMAT:
+        raise DataError(f"{path}: is no manifest of a set ('format' is not {MANIFEST_FORMAT!r})")
+    if document.get("format_version") != MANIFEST_FORMAT_VERSION:
+        found = document.get("format_version")
+        raise DataError(f"{path}: this version reads format_version {MANIFEST_FORMAT_VERSION}, found {found!r}")
+    try:
+        manifest = _from_document(document)
+        is_whole = _serialise(manifest) == data
+    except (KeyError, TypeError, ValueError, AttributeError):
+        is_whole = False
+    if not is_whole:
+        raise DataError(
+            f"{path}: is damaged or was edited: its bytes are not the ones that its own digests stand for. "
+            "Fetch it again, or render the set again"
+        )
+    return manifest
+
+
+def _serialise(manifest: Manifest) -> bytes:
+    document = _to_document(manifest)
+    document["manifest_sha256"] = _sha256_of_json(document)
+    return (json.dumps(document, indent=1) + "\n").encode()
+
+
+def _to_document(manifest: Manifest) -> dict[str, Any]:
+    splits = {}
+    for split in SPLITS:
+        shards = [
+            {
+                "file": shard.file,
+                "first_index": shard.first_index,
+                "images": shard.images,
+                "bytes": shard.bytes,
+                "sha256": shard.sha256,
+                "content_sha256": shard.content_sha256,
+            }
+            for shard in manifest.of_split(split)
+        ]
+        if shards:
+            splits[split] = {
+                "images": manifest.images(split),
+                "annotated": manifest.is_annotated(split),
+                "fingerprint": manifest.split_fingerprint(split),
+                "shards": shards,
+            }
+    return {
+        "format": MANIFEST_FORMAT,
+        "format_version": MANIFEST_FORMAT_VERSION,
+        **manifest.recipe,
+        "fingerprint": manifest.fingerprint,
+        "splits": splits,
+    }
+
+
+def _from_document(document: dict[str, Any]) -> Manifest:
+    not_recipe = ("format", "format_version", "fingerprint", "splits", "manifest_sha256")
+    recipe = {key: value for key, value in document.items() if key not in not_recipe}
+    shards = tuple(
+        ShardEntry(split=split, **shard)
+        for split in SPLITS
+        for shard in document["splits"].get(split, {}).get("shards", [])
+    )
+    for shard in shards:
+        if not re.fullmatch(rf"{shard.split}-\d{{5,}}-of-\d{{5,}}\.h5", shard.file):
+            raise ValueError(f"{shard.file!r} is no name of a shard")
+    return Manifest(recipe, shards)
+
+
+def _hint(folder: Path) -> str:
+    sets = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST_NAME}"))
+    if sets:
+        return f"it has sets inside: {', '.join(str(folder / name) for name in sets)}"
+    return "a set is a folder that `symsol-annot render` made, like data/cylO"
+
+
+def _sha256_of_json(document: Any) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

@@ -1,0 +1,151 @@
+"""The scene as plain data: camera, looks, what one rendered view is, and what a renderer does.
+
+World axes are the camera's, OpenCV's way: x right, y down, z forward. The object is at the origin, the
+camera at (0, 0, -distance) looks along +z, and the light shines along the camera's axis.
+"""
+
+from dataclasses import asdict, dataclass
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.errors import SettingsError
+from symsol_annot.so3 import Rotations
+
+BACKGROUND, BODY, MARKING = 0, 1, 2  # segmentation ids
+ENGINES = ("workbench", "cycles", "eevee")
+DEFAULT_SIZE = 224
+SIZE_RANGE = (16, 2048)
+_DISTANCE = 4.0
+_FILLED_WIDTH = 0.9  # of the image's width, by the unit bounding sphere
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera; its principal point is the image's centre and its pixels are square.
+
+    Attributes:
+        distance: from the camera to the object's centre, in bounding-sphere radii.
+        focal_px: the focal length in pixels.
+        width: of the image in pixels.
+        height: of the image in pixels.
+    """
+
+    distance: float
+    focal_px: float
+    width: int
+    height: int
+
+    @classmethod
+    def filling(cls, size: int) -> "Camera":
+        """Return the default camera for square images: the bounding sphere fills 90% of the width.
+
+        A unit sphere at distance d projects to a disc of radius focal_px / sqrt(d^2 - 1).
+
+        Raises:
+            SettingsError: the size is out of range.
+        """
+        low, high = SIZE_RANGE
+        if not low <= size <= high:
+            raise SettingsError(f"image size: expected {low} to {high} pixels, found {size}")
+        focal_px = 0.5 * _FILLED_WIDTH * size * float(np.sqrt(_DISTANCE**2 - 1.0))
+        return cls(_DISTANCE, focal_px, size, size)
+
+    def project(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the pixel coordinates (..., 2) of world points (..., 3); pixel centres are at half-integers."""
+        depth = points[..., 2] + self.distance
+        centre = np.array([self.width / 2, self.height / 2])
+        return self.focal_px * points[..., :2] / depth[..., None] + centre
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the camera as JSON data."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """How views are drawn.
+
+    The RGB is rendered at `samples_per_axis` times the size, each sample at its own centre, and averaged
+    over each pixel in display values; the marking's area is counted on that same lattice. The light is a
+    headlight: a surface with normal n shows colour x (ambient + diffuse x max(0, -n_z)), linear, then sRGB.
+    The colours are linear RGB.
+    """
+
+    engine: str = "workbench"
+    samples_per_axis: int = 2
+    body_colour: tuple[float, float, float] = (0.72, 0.80, 0.94)
+    marking_colour: tuple[float, float, float] = (0.95, 0.16, 0.04)
+    background_colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    ambient: float = 0.04
+    diffuse: float = 0.96
+
+    def __post_init__(self) -> None:
+        """Refuse an engine that does not exist."""
+        if self.engine not in ENGINES:
+            raise SettingsError(f"engine: expected one of {', '.join(ENGINES)}, found {self.engine!r}")
+
+    @property
+    def samples_per_pixel(self) -> int:
+        """How many samples of the lattice lie in one pixel."""
+        return self.samples_per_axis**2
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> "RenderSettings":
+        """Return the settings that `to_dict` gave."""
+        return cls(**{key: tuple(value) if isinstance(value, list) else value for key, value in data.items()})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as JSON data."""
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class View:
+    """One view of an object.
+
+    Attributes:
+        rgb: (H, W, 3) u8, anti-aliased.
+        segmentation: (H, W) u8, the id (0 background, 1 body, 2 marking) at each pixel's centre.
+    """
+
+    rgb: npt.NDArray[np.uint8]
+    segmentation: npt.NDArray[np.uint8]
+
+
+class Renderer(Protocol):
+    """Draws one object through one camera; a context manager, since it may hold a process."""
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """The software that decides the pixels: name to version."""
+
+    def render(self, R_m2c: Rotations) -> View:
+        """Draw the object under one rotation (3, 3)."""
+
+    def marking_pixels(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
+        """Return p(R), the marking's visible area in pixels, under each of (n, 3, 3) rotations: (n,).
+
+        Samples of the RGB's anti-aliasing lattice that fall on the marking, over the samples a pixel;
+        back faces are culled.
+        """
+
+    def close(self) -> None:
+        """Let go of what the renderer holds."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+def box_filter(samples: npt.NDArray[np.uint8], samples_per_axis: int) -> npt.NDArray[np.uint8]:
+    """Average each square of samples: (H n, W n, C) u8 to (H, W, C) u8, halves rounded up."""
+    n = samples_per_axis
+    height, width, channels = samples.shape[0] // n, samples.shape[1] // n, samples.shape[2]
+    sums = samples.reshape(height, n, width, n, channels).sum(axis=(1, 3), dtype=np.uint32)
+    averages: npt.NDArray[np.uint8] = ((2 * sums + n * n) // (2 * n * n)).astype(np.uint8)
+    return averages

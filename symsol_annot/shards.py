@@ -1,0 +1,258 @@
+"""The HDF5 shard: what it holds, how it is written whole, and how a stranger's file is opened safely.
+
+docs/format.md is the contract. A shard is built in memory and written in one go, so that a full disk is an
+ordinary error, and its bytes depend on nothing but its contents and the HDF5 library.
+"""
+
+import hashlib
+import json
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.errors import DataError
+from symsol_annot.scene import View
+from symsol_annot.so3 import Rotations
+
+SHARD_FORMAT = "symsol-annot shard"
+SHARD_FORMAT_VERSION = 1
+_GZIP_LEVEL = 4
+_IMAGE_DATASETS = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask")  # one row an image
+_ALLOWED_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_SHUFFLE}
+
+
+@dataclass(frozen=True)
+class ShardHeader:
+    """A shard's attributes: all that is needed to make it again.
+
+    Attributes:
+        object: the object's name.
+        object_sha256: its digest.
+        split: "train" or "test".
+        first_index: the index within the split of the shard's first image.
+        seed: the set's.
+        camera: as `Camera.to_dict`.
+        render: as `RenderSettings.to_dict`.
+        tolerance_px: the object's T; NaN without a marking.
+        versions: the software that decides the bytes.
+    """
+
+    object: str
+    object_sha256: str
+    split: str
+    first_index: int
+    seed: int
+    camera: dict[str, Any]
+    render: dict[str, Any]
+    tolerance_px: float
+    versions: dict[str, str]
+
+    def to_attributes(self) -> dict[str, Any]:
+        """Return the HDF5 attributes."""
+        return {
+            "format": SHARD_FORMAT,
+            "format_version": SHARD_FORMAT_VERSION,
+            "object": self.object,
+            "object_sha256": self.object_sha256,
+            "split": self.split,
+            "first_index": self.first_index,
+            "seed": self.seed,
+            "camera": json.dumps(self.camera, sort_keys=True),
+            "render": json.dumps(self.render, sort_keys=True),
+            "engine": self.render["engine"],
+            "tolerance_px": self.tolerance_px,
+            "versions": json.dumps(self.versions, sort_keys=True),
+        }
+
+
+@dataclass(frozen=True)
+class ImageRecord:
+    """What a shard holds of one image.
+
+    Attributes:
+        view: the picture and its segmentation.
+        R_m2c: (3, 3) the rotation it was drawn at.
+        marking_pixels: p(R_m2c).
+        symmetry_mask: (G,) bool, or None in a split without annotation.
+    """
+
+    view: View
+    R_m2c: Rotations
+    marking_pixels: float
+    symmetry_mask: npt.NDArray[np.bool_] | None
+
+
+@dataclass(frozen=True)
+class ShardFile:
+    """A finished shard in memory: its bytes, and the digest of what it holds whatever HDF5 makes of it."""
+
+    data: bytes
+    content_sha256: str
+
+
+class ShardWriter:
+    """Builds one shard, image by image."""
+
+    def __init__(self, header: ShardHeader, count: int, symmetry_group: Rotations, *, annotated: bool) -> None:
+        in_memory = f"shard-{uuid.uuid4()}"  # HDF5 tells files that are open at the same time apart by name
+        self._file = h5py.File(in_memory, "w", driver="core", backing_store=False, libver=("earliest", "v108"))
+        self._count, self._written = count, 0
+        self._file.attrs.update(header.to_attributes())
+        size = (header.camera["height"], header.camera["width"])
+        self._create("image", (count, *size, 3), "u1", chunk_rows=1)
+        self._create("segmentation", (count, *size), "u1", chunk_rows=1)
+        self._create("rotation", (count, 3, 3), "f8")
+        self._create("marking_pixels", (count,), "f4")
+        if annotated:
+            self._create("symmetry_mask", (count, len(symmetry_group)), "?")
+        self._create("symmetry_group", symmetry_group.shape, "f8")
+        self._file["symmetry_group"][...] = symmetry_group
+
+    def add(self, record: ImageRecord) -> None:
+        """Append one image."""
+        row = self._written
+        self._file["image"][row] = record.view.rgb
+        self._file["segmentation"][row] = record.view.segmentation
+        self._file["rotation"][row] = record.R_m2c
+        self._file["marking_pixels"][row] = record.marking_pixels
+        if record.symmetry_mask is not None:
+            self._file["symmetry_mask"][row] = record.symmetry_mask
+        self._written += 1
+
+    def finish(self, notes: dict[str, int]) -> ShardFile:
+        """Return the shard; `notes` become attributes."""
+        if self._written != self._count:
+            raise ValueError(f"the shard was made for {self._count} images and holds {self._written}")
+        self._file.attrs.update(notes)
+        self._file.flush()
+        return ShardFile(self._file.id.get_file_image(), content_sha256(self._file))
+
+    def close(self) -> None:
+        """Let go of the memory."""
+        self._file.close()
+
+    def _create(self, name: str, shape: tuple[int, ...], dtype: str, chunk_rows: int | None = None) -> None:
+        self._file.create_dataset(
+            name,
+            shape,
+            dtype,
+            chunks=(chunk_rows or shape[0], *shape[1:]),
+            compression="gzip",
+            compression_opts=_GZIP_LEVEL,
+            fletcher32=True,
+            track_times=False,
+        )
+
+
+def content_sha256(file: h5py.File) -> str:
+    """Return the digest of a shard's arrays, one that another HDF5 library or compression does not change."""
+    digest = hashlib.sha256()
+    for name in (*_IMAGE_DATASETS, "symmetry_group"):
+        if name in file:
+            dataset = file[name]
+            digest.update(f"{name} {dataset.dtype.str} {dataset.shape}\n".encode())
+            for start in range(0, len(dataset), 64):
+                digest.update(np.ascontiguousarray(dataset[start : start + 64]).tobytes())
+    return digest.hexdigest()
+
+
+@contextmanager
+def open_shard(path: Path) -> Iterator[h5py.File]:
+    """Open a shard for reading after checking that it holds what the format says and nothing else.
+
+    Raises:
+        DataError: the file is missing, is no HDF5, or is no shard; the message lists every fault.
+    """
+    file = open_shard_file(path)
+    try:
+        yield file
+    finally:
+        file.close()
+
+
+def open_shard_file(path: Path) -> h5py.File:
+    """Do as `open_shard`; the caller closes the file."""
+    try:
+        file = h5py.File(path, "r")
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such shard") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read as HDF5: {error}") from None
+    faults = _structure_faults(file)
+    if faults:
+        file.close()
+        raise DataError(f"{path}: is no valid shard:\n" + "\n".join(f"  - {fault}" for fault in faults))
+    return file
+
+
+def _structure_faults(file: h5py.File) -> list[str]:
+    """List what keeps a file from being a shard, without reading a data set: links, types, shapes, filters."""
+    if file.attrs.get("format") != SHARD_FORMAT:
+        return [f"attribute 'format': expected {SHARD_FORMAT!r}, found {file.attrs.get('format')!r}"]
+    if file.attrs.get("format_version") != SHARD_FORMAT_VERSION:
+        found = file.attrs.get("format_version")
+        return [f"attribute 'format_version': this version reads {SHARD_FORMAT_VERSION}, found {found}"]
+    faults = [f"attribute {name!r} is missing" for name in _ATTRIBUTES if name not in file.attrs]
+    try:
+        camera = json.loads(file.attrs["camera"])
+        expected = _expected_datasets(file, int(camera["height"]), int(camera["width"]))
+    except (KeyError, TypeError, ValueError) as error:
+        return [*faults, f"attribute 'camera' is no JSON with width and height: {error}"]
+    for name in file:
+        if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+            faults.append(f"{name!r} is a link to somewhere else")
+        elif name not in expected and name != "symmetry_mask":
+            faults.append(f"{name!r} is not part of the format")
+    if not faults:
+        for name, (shape, dtype) in expected.items():
+            faults += _dataset_faults(file, name, shape, dtype)
+    return faults
+
+
+def _expected_datasets(file: h5py.File, height: int, width: int) -> dict[str, tuple[tuple[int, ...], str]]:
+    count = _rows_of(file, "rotation")
+    group = _rows_of(file, "symmetry_group")
+    expected: dict[str, tuple[tuple[int, ...], str]] = {
+        "image": ((count, height, width, 3), "|u1"),
+        "segmentation": ((count, height, width), "|u1"),
+        "rotation": ((count, 3, 3), "<f8"),
+        "marking_pixels": ((count,), "<f4"),
+        "symmetry_group": ((group, 3, 3), "<f8"),
+    }
+    if file.get("symmetry_mask", getlink=True) is not None:
+        expected["symmetry_mask"] = ((count, group), "|b1")
+    return expected
+
+
+def _rows_of(file: h5py.File, name: str) -> int:
+    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+        return 0
+    dataset = file[name]
+    return int(dataset.shape[0]) if isinstance(dataset, h5py.Dataset) and dataset.shape else 0
+
+
+def _dataset_faults(file: h5py.File, name: str, shape: tuple[int, ...], dtype: str) -> list[str]:
+    if name not in file:
+        return [f"data set {name!r} is missing"]
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset):
+        return [f"{name!r} is no data set"]
+    if dataset.shape != shape or dataset.dtype.str != dtype or 0 in shape:
+        return [f"{name!r}: expected {dtype} of shape {shape}, found {dataset.dtype.str} of shape {dataset.shape}"]
+    plist = dataset.id.get_create_plist()
+    filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
+    if dataset.is_virtual or dataset.external or not filters <= _ALLOWED_FILTERS:
+        return [f"{name!r} is stored outside the file or with a filter that is not allowed"]
+    return []
+
+
+_ATTRIBUTES = (
+    "object", "object_sha256", "split", "first_index", "seed", "camera", "render", "engine", "tolerance_px", "versions",
+)  # fmt: skip

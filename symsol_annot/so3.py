@@ -1,0 +1,211 @@
+"""Rotations in three dimensions: distance, sampling, the finite and axial groups, cosets.
+
+Rotations are (..., 3, 3) float64 arrays that act on column vectors. Angles are in radians.
+"""
+
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from symsol_annot.errors import RotationError
+
+Rotations: TypeAlias = npt.NDArray[np.float64]
+Angles: TypeAlias = npt.NDArray[np.float64]
+
+Z_AXIS = (0.0, 0.0, 1.0)
+ORTHONORMAL_TOLERANCE = 1e-9  # float64 labels; a product of a few rotations stays within 1e-15
+_SAME_ROTATION = 1e-6  # entries closer than this are the same element of a group
+
+
+def check_rotations(R: npt.ArrayLike, what: str, tolerance: float = ORTHONORMAL_TOLERANCE) -> Rotations:
+    """Return R as float64 after checking that every matrix in it is a rotation.
+
+    Args:
+        R: (..., 3, 3) matrices.
+        what: how an error message names them.
+        tolerance: the largest entry of |R^T R - I| and the largest |det R - 1| allowed.
+
+    Raises:
+        RotationError: a wrong shape, or a matrix that is no rotation; the message gives the row.
+    """
+    R = np.asarray(R, dtype=np.float64)
+    if R.ndim < 2 or R.shape[-2:] != (3, 3):
+        raise RotationError(f"{what}: expected an array of shape (..., 3, 3), found {R.shape}")
+    deviation = rotation_deviation(R)
+    bad = ~(deviation <= tolerance)  # NaN is bad too
+    if np.any(bad):
+        flat_index = int(np.argmax(bad.reshape(-1)))
+        raise RotationError(
+            f"{what}: {int(np.count_nonzero(bad))} of {bad.size} matrices are no rotations, the first in row "
+            f"{flat_index}: it is off by {deviation.reshape(-1)[flat_index]:.3g} (allowed {tolerance:g})"
+        )
+    return R
+
+
+def rotation_deviation(R: Rotations) -> npt.NDArray[np.float64]:
+    """Return how far each (..., 3, 3) matrix is from SO(3): the larger of |R^T R - I| and |det R - 1|."""
+    gram = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-2, -1))
+    return np.maximum(gram, np.abs(np.linalg.det(R) - 1.0))
+
+
+def angle_between(R_a: Rotations, R_b: Rotations) -> Angles:
+    """Return the smallest angle that turns R_a into R_b (eq. 5.6).
+
+    The arcsine of the Frobenius norm keeps small angles that the arccosine of the trace loses.
+
+    Args:
+        R_a: (..., 3, 3) rotations.
+        R_b: (..., 3, 3) rotations of the same frame; broadcasts against R_a.
+
+    Returns:
+        (...) angles in rad, in [0, pi].
+
+    Raises:
+        RotationError: a trailing shape is not (3, 3).
+    """
+    for R in (R_a, R_b):
+        if np.shape(R)[-2:] != (3, 3):
+            raise RotationError(f"angle_between: expected shapes (..., 3, 3), found {np.shape(R)}")
+    distance = np.sqrt(np.square(np.asarray(R_b) - np.asarray(R_a)).sum(axis=(-2, -1)))
+    angles: Angles = 2.0 * np.arcsin(np.minimum(distance / (2.0 * np.sqrt(2.0)), 1.0))
+    return angles
+
+
+def uniform_rotations(count: int, rng: np.random.Generator) -> Rotations:
+    """Draw rotations from the uniform (Haar) distribution on SO(3).
+
+    Shoemake, "Uniform random rotations", Graphics Gems III, 1992: three uniform numbers give a
+    quaternion that is uniform on the 3-sphere.
+
+    Returns:
+        (count, 3, 3) rotations.
+    """
+    u = rng.random((count, 3))
+    inner, outer = np.sqrt(1.0 - u[:, 0]), np.sqrt(u[:, 0])
+    alpha, beta = 2.0 * np.pi * u[:, 1], 2.0 * np.pi * u[:, 2]
+    quat_wxyz = np.stack([outer * np.cos(beta), inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta)], -1)
+    return quat_wxyz_to_rotation(quat_wxyz)
+
+
+def quat_wxyz_to_rotation(quat_wxyz: npt.NDArray[np.float64]) -> Rotations:
+    """Return the (..., 3, 3) rotations of (..., 4) quaternions, scalar first; they need not be unit."""
+    w, x, y, z = np.moveaxis(quat_wxyz / np.linalg.norm(quat_wxyz, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def rotation_to_quat_wxyz(R: Rotations) -> npt.NDArray[np.float64]:
+    """Return the unit quaternions (..., 4), scalar first and not negative, of (..., 3, 3) rotations.
+
+    Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", 2000: the
+    eigenvector of the largest eigenvalue, which is well conditioned for every angle.
+    """
+    m = np.asarray(R, dtype=np.float64)
+    k = np.empty((*m.shape[:-2], 4, 4))
+    k[..., 0, 0] = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    for i in range(3):
+        j, h = (i + 1) % 3, (i + 2) % 3
+        k[..., 0, i + 1] = k[..., i + 1, 0] = m[..., h, j] - m[..., j, h]
+        k[..., i + 1, i + 1] = m[..., i, i] - m[..., j, j] - m[..., h, h]
+        k[..., i + 1, j + 1] = k[..., j + 1, i + 1] = m[..., i, j] + m[..., j, i]
+    quat_wxyz: npt.NDArray[np.float64] = np.linalg.eigh(k)[1][..., -1]
+    return np.where(quat_wxyz[..., :1] < 0, -quat_wxyz, quat_wxyz)
+
+
+def rotations_about(axis: npt.ArrayLike, angles_rad: npt.ArrayLike) -> Rotations:
+    """Return the rotations by `angles_rad` (...) about one axis (3,), by Rodrigues' formula: (..., 3, 3)."""
+    n = np.asarray(axis, dtype=np.float64)
+    n = n / np.linalg.norm(n)
+    cross = np.array([[0.0, -n[2], n[1]], [n[2], 0.0, -n[0]], [-n[1], n[0], 0.0]])
+    angles = np.asarray(angles_rad, dtype=np.float64)[..., None, None]
+    return np.eye(3) + np.sin(angles) * cross + (1.0 - np.cos(angles)) * (cross @ cross)
+
+
+def cyclic_group(order: int, axis: npt.ArrayLike = Z_AXIS) -> Rotations:
+    """Return the `order` rotations about an axis by multiples of a full turn / order, identity first.
+
+    The end point of the circle is the start point and counts once: order 360 has a step of exactly 1 degree.
+    """
+    return rotations_about(axis, 2.0 * np.pi * np.arange(order) / order)
+
+
+def dihedral_group(order: int) -> Rotations:
+    """Return the 2 x `order` rotations of a prism about z: the cyclic ones, then each after a half turn about x."""
+    turns = cyclic_group(order)
+    flip_about_x = np.diag([1.0, -1.0, -1.0])
+    return np.concatenate([turns, turns @ flip_about_x])
+
+
+def tetrahedral_group() -> Rotations:
+    """Return the 12 rotations of the tetrahedron on the alternating corners of a cube, identity first."""
+    return _signed_permutations(even_only=True)
+
+
+def octahedral_group() -> Rotations:
+    """Return the 24 rotations of the cube with faces across the axes, identity first."""
+    return _signed_permutations(even_only=False)
+
+
+def icosahedral_group() -> Rotations:
+    """Return the 60 rotations of the icosahedron with corners (0, ±1, ±phi) and cyclic shifts, identity first."""
+    phi = (1.0 + np.sqrt(5.0)) / 2.0
+    fifths = cyclic_group(5, axis=(0.0, 1.0, phi))
+    return (fifths[:, None] @ tetrahedral_group()[None]).reshape(-1, 3, 3)
+
+
+def _signed_permutations(*, even_only: bool) -> Rotations:
+    """Return the rotations whose entries are 0 and ±1; `even_only` keeps the cyclic shifts of the axes."""
+    shifts = [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
+    swaps = [] if even_only else [(1, 0, 2), (0, 2, 1), (2, 1, 0)]
+    found = []
+    for permutation in shifts + swaps:
+        for signs in np.ndindex(2, 2, 2):
+            R = np.eye(3)[list(permutation)] * (1.0 - 2.0 * np.array(signs))[:, None]
+            if np.linalg.det(R) > 0:
+                found.append(R)
+    return np.stack(found)
+
+
+def nearest_element(group: Rotations, R: Rotations) -> npt.NDArray[np.intp]:
+    """Return the index in `group` (G, 3, 3) of each rotation in R (..., 3, 3).
+
+    Raises:
+        RotationError: a rotation is not an element of the group.
+    """
+    distance, index = cKDTree(group.reshape(-1, 9)).query(R.reshape(-1, 9))
+    if np.any(distance > _SAME_ROTATION):
+        raise RotationError(
+            f"{int(np.count_nonzero(distance > _SAME_ROTATION))} of {len(distance)} rotations "
+            f"are not among the {len(group)} elements of the group; the group is not closed or the wrong one"
+        )
+    found: npt.NDArray[np.intp] = np.asarray(index, dtype=np.intp).reshape(R.shape[:-2])
+    return found
+
+
+def left_cosets(group: Rotations, subgroup: Rotations) -> npt.NDArray[np.intp]:
+    """Partition a group into the left cosets g H of a subgroup H.
+
+    Args:
+        group: (G, 3, 3) the group, identity first.
+        subgroup: (H, 3, 3) elements of the group that form a group, identity first.
+
+    Returns:
+        (G / H, H) indices into `group`, a coset a row; row 0 is the subgroup itself.
+
+    Raises:
+        RotationError: the subgroup's products leave the group.
+    """
+    unseen = np.ones(len(group), dtype=bool)
+    cosets = []
+    for index, element in enumerate(group):
+        if unseen[index]:
+            members = nearest_element(group, element @ subgroup)
+            unseen[members] = False
+            cosets.append(members)
+    return np.stack(cosets)
