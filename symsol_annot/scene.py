@@ -95,7 +95,8 @@ class RenderSettings:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "RenderSettings":
         """Return the settings that `to_dict` gave."""
-        return cls(**{key: tuple(value) if isinstance(value, list) else value for key, value in data.items()})
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+        return cls(**values)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON data."""

@@ -70,7 +70,7 @@ def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry) -> list[s
         with open_shard(path) as shard:
             return [
                 *_header_faults(manifest, entry, shard),
-                *_content_faults(shard, manifest.is_annotated(entry.split)),
+                *_content_faults(shard),
             ]
     except DataError as error:
         return [str(error)]
