@@ -217,6 +217,13 @@ def _icosahedron_corners() -> Points:
     return np.concatenate([np.roll(rectangle, shift, axis=1) for shift in range(3)])
 
 
+def _marking_table(tolerance_px: float, stabiliser: str) -> str:
+    return (
+        f"[marking]\ntolerance_px = {tolerance_px}\nany_part_fixes_rotation = true\n\n"
+        f"[marking.stabiliser]\n{stabiliser}"
+    )
+
+
 MARKED_FACE = -np.ones(3) / np.sqrt(3.0)  # the face opposite the corner (1, 1, 1)
 
 OBJECTS: dict[str, tuple[str, Callable[[], MeshBuilder], str, str | None]] = {
@@ -230,14 +237,14 @@ OBJECTS: dict[str, tuple[str, Callable[[], MeshBuilder], str, str | None]] = {
         lambda: regular_solid(_tetrahedron_corners(), MARKED_FACE),
         'kind = "tetrahedral"',
         # A face seen edge-on draws a handful of pixels; 5 is the thesis's tolerance (section 5.1.2).
-        'tolerance_px = 5\nany_part_fixes_rotation = true\n\n[marking.stabiliser]\nkind = "cyclic"\norder = 3\naxis = [1, 1, 1]',
+        _marking_table(tolerance_px=5, stabiliser='kind = "cyclic"\norder = 3\naxis = [1, 1, 1]'),
     ),
     "cylO": (
         "cylinder with a disc on its side, near one end",
         lambda: cylinder(disc=True),
         f'kind = "dihedral"\norder = {FACETS}',
         # Less than one of the 4 samples of a pixel: hidden means not a trace.
-        'tolerance_px = 0.125\nany_part_fixes_rotation = true\n\n[marking.stabiliser]\nkind = "cyclic"\norder = 1',
+        _marking_table(tolerance_px=0.125, stabiliser='kind = "cyclic"\norder = 1'),
     ),
 }  # fmt: skip
 
@@ -245,7 +252,7 @@ OBJECTS: dict[str, tuple[str, Callable[[], MeshBuilder], str, str | None]] = {
 def files_of(name: str) -> dict[str, str]:
     """Return the files of one object's folder: name to text."""
     title, build, group, marking = OBJECTS[name]
-    marking_table = f"\n[marking]\n{marking}\n" if marking else ""
+    marking_table = f"\n{marking}\n" if marking else ""
     toml = (
         f'format_version = 1\nname = "{name}"\ntitle = "{title}"\n\n[body.group]\n{group}\n{marking_table}\n'
         '[provenance]\nbuilt_by = "symsol_annot_assets.build"\n'

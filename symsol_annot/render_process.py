@@ -14,6 +14,7 @@ import sys
 import tempfile
 import threading
 from importlib import util
+from itertools import groupby
 from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, Self
@@ -121,7 +122,7 @@ class RenderProcess:
         how = f"was ended by signal {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         self._log.seek(0)
         lines = self._log.read().decode(errors="replace").splitlines()
-        telling = [line for line in lines if line.strip() and not line.startswith(_FRAME_CHATTER)]
+        telling = [line for line, _ in groupby(lines) if line.strip() and not line.startswith(_FRAME_CHATTER)]
         said = "\n".join(f"  | {line}" for line in telling[-_QUOTED_LINES:]) or "  | (nothing)"
         if any(word in line for line in telling for word in _NO_OPENGL):
             return RendererMissingError(
