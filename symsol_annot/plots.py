@@ -76,7 +76,7 @@ def _draw_ball_outline(axes: Any) -> None:
 
 
 def _draw_picture(axes: Any, pixels: npt.NDArray[np.uint8], caption: str) -> None:
-    axes.imshow(pixels, interpolation="none")
+    axes.imshow(pixels, interpolation="antialiased")
     axes.set_title(caption, fontsize=8, pad=2)
     axes.set(xticks=[], yticks=[])
     for spine in axes.spines.values():

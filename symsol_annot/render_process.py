@@ -53,7 +53,7 @@ class RenderProcess:
         self._log = tempfile.TemporaryFile(mode="a+b")  # noqa: SIM115 - lives as long as the process
         ours, theirs = socket.socketpair()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "symsol_annot.render_process", str(theirs.fileno())],
+            [sys.executable, "-P", "-m", "symsol_annot.render_process", str(theirs.fileno())],
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=self._log,

@@ -1,0 +1,50 @@
+PYTHON ?= python3.11
+VENV ?= .venv
+BIN := $(VENV)/bin
+
+# The editable install links the files it finds, so it is made again when a file is added or removed.
+SOURCES := $(sort $(wildcard symsol_annot/*.py cli/*.py blender_assets/*.py blender_assets/*/*))
+INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
+
+.PHONY: demo test check lint format soak assets clean
+
+demo: $(INSTALLED)  ## render, annotate, verify and draw a small set of two objects, in data/
+	$(BIN)/symsol-annot render --object cylO --train 0 --test 64
+	$(BIN)/symsol-annot render --object tetX --train 0 --test 32
+	$(BIN)/symsol-annot verify data --audit 2
+	@echo "Pictures to look at:"
+	@$(BIN)/symsol-annot plot data/cylO
+	@$(BIN)/symsol-annot plot data/tetX
+
+test: lint  ## every check, with all its set-up: what CI runs
+	$(BIN)/pytest
+
+check: test
+
+lint: $(INSTALLED)  ## the quick checks
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m symsol_annot_assets.build --check --out blender_assets
+
+soak: $(INSTALLED)  ## long proofs on real renders: half an hour on two cores
+	$(BIN)/python tests/soak.py
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+assets: $(INSTALLED)  ## build the objects again
+	$(BIN)/python -m symsol_annot_assets.build --out blender_assets
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info
+
+$(INSTALLED): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
+		--editable '.[render,plot,dev]' --config-settings editable_mode=strict
+	$(BIN)/symsol-annot doctor --install
+	rm -f $(VENV)/installed-*
+	touch $@

@@ -1,0 +1,87 @@
+"""What the documents say is what the code does: their code runs, their links lead somewhere."""
+
+import re
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from conftest import make_set
+
+import symsol_annot
+from symsol_annot.object_check import check_object
+from symsol_annot.objects import load_object
+from symsol_annot.scene import Camera
+from symsol_annot.so3 import uniform_rotations
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+
+
+def code_blocks(page, language):
+    return re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files_and_headings(page):
+    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", page.read_text()):
+        path, _, heading = target.partition("#")
+        linked = (page.parent / path) if path else page
+        assert linked.exists(), f"{page.name} links to {target}"
+        if heading:
+            headings = re.findall(r"^#+ (.+)$", linked.read_text(), flags=re.MULTILINE)
+            assert heading in {re.sub(r"[^\w\- ]", "", h).strip().lower().replace(" ", "-") for h in headings}
+
+
+def test_the_three_lines_of_the_format_page_read_a_shard(tmp_path, monkeypatch):
+    """Exactly those lines, run where a set named data/cylO lies, give what load() gives."""
+    block = code_blocks("docs/format.md", "python")[0]
+    assert len(block.strip().splitlines()) == 3
+    folder = make_set(tmp_path / "data", "tetX", test=20).rename(tmp_path / "data" / "cylO")
+    (folder / "test-00000-of-00002.h5").rename(folder / "test-00000-of-00010.h5")
+    monkeypatch.chdir(tmp_path)
+    names = {"h5py": h5py, "i": 3}
+    exec(block, names)
+    with names["f"] as file:
+        (folder / "test-00000-of-00010.h5").rename(folder / "test-00000-of-00002.h5")
+        sample = symsol_annot.load(folder)[3]
+        assert np.array_equal(names["image"], sample.image)
+        assert np.array_equal(names["R"], sample.rotation)
+        assert np.array_equal(names["S"], sample.symmetry_set)
+        documented = set(re.findall(r"^\| `(\w+)`", (ROOT / "docs/format.md").read_text(), flags=re.MULTILINE))
+        assert set(file) <= documented
+    attributes = re.findall(r"`(\w+)`", (ROOT / "docs/format.md").read_text())
+    with h5py.File(folder / "test-00000-of-00002.h5") as file:
+        assert set(file.attrs) <= set(attributes)
+
+
+def test_the_readme_example_runs(tmp_path, monkeypatch, capsys):
+    make_set(tmp_path / "data", "tetX", test=4).rename(tmp_path / "data" / "cylO")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(code_blocks("README.md", "python")[0], names)
+    assert names["sample"].symmetry_set.shape[1:] == (3, 3)
+
+
+def test_the_projection_of_the_conventions_page_is_the_cameras():
+    camera = Camera.filling(224)
+    names = {"distance": camera.distance, "focal_px": camera.focal_px, "width": 224, "height": 224}
+    for R_m2c, point_m in zip(uniform_rotations(5, np.random.default_rng(0)), np.eye(5, 3), strict=True):
+        names |= {"R_m2c": R_m2c, "point_m": point_m}
+        exec(code_blocks("docs/conventions.md", "python")[0], names)
+        assert np.allclose([names["u"], names["v"]], camera.project(R_m2c @ point_m))
+    assert f"{camera.focal_px:.3f}" in (ROOT / "docs/conventions.md").read_text()
+
+
+def test_the_object_of_the_contributing_page_is_an_object(tmp_path):
+    folder = tmp_path / "mug"
+    folder.mkdir()
+    (folder / "object.toml").write_text(code_blocks("CONTRIBUTING.md", "toml")[0])
+    shutil.copy(load_object("cylO").folder / "mesh.obj", folder)  # round, with a dot
+    check_object(load_object(str(folder)))
+
+
+def test_every_module_stands_in_the_architecture_page():
+    listed = set(re.findall(r"^\| `(\w+\.py)`", (ROOT / "docs/architecture.md").read_text(), flags=re.MULTILINE))
+    assert listed == {path.name for path in (ROOT / "symsol_annot").glob("*.py")} - {"__init__.py"}

@@ -1,0 +1,130 @@
+"""Faults planted in a copy of the package, one at a time: for each, a named test must fail.
+
+These are the mistakes that a data set of rotations invites. The first case plants nothing and must pass, so
+that a copy that cannot run at all is not taken for a fault that was found.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = {"symsol_annot": "symsol_annot", "cli": "symsol_annot_cli", "blender_assets": "symsol_annot_assets"}
+
+CAST = "test_blender.py::test_segmentation_is_the_ray_casters_but_for_boundary_pixels[tetX]"
+SETS = "test_annotate.py::test_a_hidden_marking_leaves_all_that_hide_it"
+FAULTS = {
+    "multiplied from the left": (
+        "symsol_annot/annotate.py",
+        "R_gt @ spec.symmetry_group[others.reshape(-1)]",
+        "spec.symmetry_group[others.reshape(-1)] @ R_gt",
+        SETS,
+    ),
+    "set multiplied from the left": (
+        "symsol_annot/dataset.py",
+        "self.rotation @ self.symmetry_group[self.symmetry_mask]",
+        "self.symmetry_group[self.symmetry_mask] @ self.rotation",
+        "test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
+    ),
+    "label transposed": (
+        "symsol_annot/generate.py",
+        "ImageRecord(renderer.render(R_gt), R_gt,",
+        "ImageRecord(renderer.render(R_gt), R_gt.T,",
+        "test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
+    ),
+    "object turned the other way": (
+        "symsol_annot/blender.py",
+        "rotation_to_quat_wxyz(R_m2c)",
+        "rotation_to_quat_wxyz(R_m2c.T)",
+        CAST,
+    ),
+    "camera the wrong way up": (
+        "symsol_annot/blender.py",
+        "stand.rotation_quaternion = (0.0, 1.0, 0.0, 0.0)",
+        "stand.rotation_quaternion = (0.0, 0.0, 1.0, 0.0)",
+        CAST,
+    ),
+    "wrong flip axis": (
+        "symsol_annot/so3.py",
+        "np.diag([1.0, -1.0, -1.0])",
+        "np.diag([-1.0, -1.0, 1.0])",
+        "test_planted_faults.py::test_groups_have_their_orders_without_duplicates",
+    ),
+    "end of the circle counted twice": (
+        "symsol_annot/so3.py",
+        "np.arange(order) / order",
+        "np.arange(order) / (order - 1)",
+        "test_planted_faults.py::test_groups_have_their_orders_without_duplicates",
+    ),
+    "no back-face culling": (
+        "symsol_annot/blender.py",
+        "shading.show_backface_culling = True",
+        "shading.show_backface_culling = False",
+        "test_blender.py::test_hidden_faces_draw_no_pixel",
+    ),
+    "candidates of shown views kept": (
+        "symsol_annot/annotate.py",
+        "if is_shown(spec, pixels):",
+        "if not len(cosets):",
+        "test_annotate.py::test_a_shown_marking_leaves_the_stabiliser",
+    ),
+}
+
+
+def test_stored_sets_hold_rotations_that_draw_the_stored_image(tmp_path):
+    import numpy as np
+    from conftest import SIZE, make_set
+    from oracle import cast
+
+    import symsol_annot
+
+    for sample in symsol_annot.load(make_set(tmp_path, "tetX", test=6)):
+        for R in sample.symmetry_set:
+            assert np.count_nonzero(cast("tetX", R, SIZE) != sample.segmentation) <= 5
+
+
+def test_groups_have_their_orders_without_duplicates():
+    import numpy as np
+
+    from symsol_annot.objects import load_object
+
+    for name, order in {"tet": 12, "cube": 24, "icosa": 60, "cone": 360, "cyl": 720}.items():
+        group = load_object(name).symmetry_group
+        assert len(np.unique(np.round(group.reshape(-1, 9), 6) + 0.0, axis=0)) == order == len(group)
+
+
+def run_with(tmp_path, node, fault=None):
+    """Run one test on a copy of the package, with a fault planted; return pytest's exit code and output."""
+    for source, package in PACKAGES.items():
+        shutil.copytree(ROOT / source, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    if fault:
+        file, right, wrong = fault
+        path = tmp_path / file
+        text = path.read_text()
+        assert text.count(right) == 1, f"{file} does not hold {right!r} once: the fault cannot be planted"
+        path.write_text(text.replace(right, wrong))
+    command = [sys.executable, "-P", "-m", "pytest", "-p", "no:cacheprovider", "-x", f"tests/{node}"]
+    done = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("node", sorted({fault[3] for fault in FAULTS.values()}))
+def test_nothing_planted_fails_nothing(node, tmp_path):
+    code, output = run_with(tmp_path, node)
+    assert code == pytest.ExitCode.OK, output
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_planted_fault_fails_its_test(name, tmp_path):
+    *fault, node = FAULTS[name]
+    code, output = run_with(tmp_path, node, fault)
+    assert code == pytest.ExitCode.TESTS_FAILED, output
+    assert "AssertionError" in output or "assert " in output, output
