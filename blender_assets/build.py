@@ -272,11 +272,11 @@ def main() -> int:
         for file, text in files_of(name).items():
             path = arguments.out / name / file
             if arguments.check:
-                if not path.is_file() or path.read_text(encoding="utf-8") != text:
+                if not path.is_file() or path.read_bytes() != text.encode():
                     stale.append(str(path))
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_text(text, encoding="utf-8")
+                path.write_bytes(text.encode())
     for path_text in stale:
         print(f"{path_text} is not what symsol_annot_assets.build builds", file=sys.stderr)
     return 1 if stale else 0

@@ -70,6 +70,7 @@ class _ObjParser:
         self._material = "body"
         self._corners: list[list[tuple[int, int | None]]] = []  # a triangle: three (vertex, normal or None)
         self._is_marking: list[bool] = []
+        self._lines: list[int] = []  # where each triangle stands
 
     def parse(self, text: str) -> Mesh:
         """Return the mesh that the text describes."""
@@ -89,6 +90,8 @@ class _ObjParser:
             self._vertices.append(self._numbers(words, "a vertex"))
         elif keyword == "vn":
             self._normals.append(self._numbers(words, "a normal"))
+            if not any(self._normals[-1]):
+                raise self._fault("a normal has no direction: all three numbers are 0")
         elif keyword == "usemtl":
             if len(words) != 1 or words[0] not in MATERIALS:
                 raise self._fault(f"expected 'usemtl body' or 'usemtl marking', found 'usemtl {' '.join(words)}'")
@@ -114,6 +117,7 @@ class _ObjParser:
         for second, third in pairwise(corners[1:]):
             self._corners.append([corners[0], second, third])
             self._is_marking.append(self._material == "marking")
+            self._lines.append(self._line)
 
     def _corner(self, word: str) -> tuple[int, int | None]:
         parts = word.split("/")
@@ -133,7 +137,8 @@ class _ObjParser:
         flat = np.cross(b - a, c - a)
         doubled_area = np.linalg.norm(flat, axis=1)
         if np.any(doubled_area < 1e-12):
-            raise ObjectError(f"{self._path}: triangle {int(np.argmin(doubled_area)) + 1} has no area")
+            self._line = self._lines[int(np.argmin(doubled_area))]
+            raise self._fault("a triangle of this face has no area")
         corner_normals = np.repeat((flat / doubled_area[:, None])[:, None], 3, axis=1)
         for row, corners in enumerate(self._corners):
             for column, (_, normal) in enumerate(corners):
@@ -144,7 +149,7 @@ class _ObjParser:
 
 
 def _check_bounding_sphere(path: Path, mesh: Mesh) -> None:
-    radius = float(np.linalg.norm(mesh.vertices, axis=1).max())
+    radius = float(np.linalg.norm(mesh.vertices[mesh.triangles], axis=-1).max())
     if abs(radius - 1.0) > BOUNDING_RADIUS_TOLERANCE:
         raise ObjectError(
             f"{path}: the vertices reach {radius:.9g} from the origin, expected 1: "

@@ -14,7 +14,7 @@ from symsol_annot.so3 import Rotations
 SURFACE_TOLERANCE = 1e-6
 _POINTS = 32
 _ELEMENTS = 12
-_POINTS_OF_OTHERS = 8  # one that leaves the marking is enough
+_FEW_POINTS = 8  # most elements move one of a few points off the marking
 _CHUNK = 2**18
 
 Points = npt.NDArray[np.float64]
@@ -30,7 +30,7 @@ def check_object(spec: ObjectSpec) -> None:
     group = spec.symmetry_group
     sampled = group[np.unique(np.linspace(0, len(group) - 1, _ELEMENTS).astype(int))]
     off = surface_offsets(surface_points(triangles), triangles, np.concatenate([group[1:2], sampled]))
-    if off.max() > SURFACE_TOLERANCE:
+    if not off.max() <= SURFACE_TOLERANCE:
         raise ObjectError(
             f"{spec.folder}: the surface of {spec.name!r} is not invariant under body.group: an element of it moves "
             f"points {off.max():.3g} off the surface (allowed {SURFACE_TOLERANCE:g}). A round body needs a multiple "
@@ -43,13 +43,15 @@ def check_object(spec: ObjectSpec) -> None:
 def _check_marking(spec: ObjectSpec, marking: Points) -> None:
     points = surface_points(marking)
     kept = surface_offsets(points, marking, spec.stabiliser)
-    if kept.max() > SURFACE_TOLERANCE:
+    if not kept.max() <= SURFACE_TOLERANCE:
         raise ObjectError(
             f"{spec.folder}: marking.stabiliser moves the marking of {spec.name!r} {kept.max():.3g} off itself "
             f"(allowed {SURFACE_TOLERANCE:g})"
         )
     others = spec.symmetry_group[spec.cosets[1:, 0]]
-    extra = surface_offsets(points[:_POINTS_OF_OTHERS], marking, others) <= SURFACE_TOLERANCE
+    suspects = others[surface_offsets(points[-_FEW_POINTS:], marking, others) <= SURFACE_TOLERANCE]
+    corners = np.unique(marking.reshape(-1, 3), axis=0)
+    extra = surface_offsets(np.concatenate([points, corners]), marking, suspects) <= SURFACE_TOLERANCE
     if extra.any():
         raise ObjectError(
             f"{spec.folder}: {np.count_nonzero(extra) + 1} cosets of marking.stabiliser in body.group map the marking "

@@ -175,8 +175,9 @@ def _read_group(toml: "_Toml", field: str) -> so3.Rotations:
     if kind == "dihedral":
         return so3.dihedral_group(order)
     axis = toml.take(f"{field}.axis", list) if toml.has(f"{field}.axis") else list(so3.Z_AXIS)
-    if len(axis) != 3 or not all(isinstance(x, int | float) for x in axis) or not any(axis):
-        raise toml.fault(f"{field}.axis", f"expected three numbers that are not all 0, found {axis}")
+    numbers = [x for x in axis if isinstance(x, int | float) and not isinstance(x, bool) and np.isfinite(x)]
+    if len(axis) != 3 or len(numbers) != 3 or not any(numbers):
+        raise toml.fault(f"{field}.axis", f"expected three finite numbers that are not all 0, found {axis}")
     return so3.cyclic_group(order, axis)
 
 
@@ -220,9 +221,9 @@ class _Toml:
 
     def fault(self, field: str, what: str) -> ObjectError:
         """Return the error that says what is wrong with a field, and where."""
-        key = field.rsplit(".", 1)[-1]
-        lines = self._text.splitlines()
-        numbers = [n for n, line in enumerate(lines, start=1) if re.search(rf"(^|[{{,\s]){key}\s*=", line)]
+        key = re.escape(field.rsplit(".", 1)[-1])
+        lines = self._text.splitlines() if self.has(field) else []
+        numbers = [n for n, line in enumerate(lines, start=1) if re.search(rf"(^|[{{,\s\"']){key}[\"']?\s*=", line)]
         where = f"{self._path}, line {numbers[0]}" if len(numbers) == 1 else str(self._path)
         return ObjectError(f"{where}: {field}: {what}")
 
