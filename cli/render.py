@@ -61,7 +61,7 @@ def render(
             )
         except KeyboardInterrupt:
             bar.close()
-            click.echo(f"Interrupted. Finished shards in {folder} are kept; the same command goes on.", err=True)
+            click.echo(f"Finished shards in {folder} are kept; the same command goes on.", err=True)
             raise
     _summarise(folder, manifest)
 

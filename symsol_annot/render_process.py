@@ -7,6 +7,7 @@ frame or one batch of counts at a time. What Blender prints goes to an unnamed f
 import contextlib
 import ctypes
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -51,6 +52,7 @@ class RenderProcess:
         self._talking = threading.Lock()
         self._engine = settings.engine
         self._log = tempfile.TemporaryFile(mode="a+b")  # noqa: SIM115 - lives as long as the process
+        self._scratch = tempfile.mkdtemp(prefix="symsol-annot-")  # Blender's, which removes it once it has started
         ours, theirs = socket.socketpair()
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "symsol_annot.render_process", str(theirs.fileno())],
@@ -58,7 +60,7 @@ class RenderProcess:
             stdout=self._log,
             stderr=self._log,
             pass_fds=[theirs.fileno()],
-            env={**os.environ, "LP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+            env=_environment(self._scratch),
             start_new_session=True,  # Ctrl-C is the parent's to handle
         )
         theirs.close()
@@ -94,6 +96,7 @@ class RenderProcess:
         with contextlib.suppress(ProcessLookupError):
             self._process.kill()
         self._process.wait()
+        shutil.rmtree(self._scratch, ignore_errors=True)
         with self._talking:
             self._connection.close()
             self._log.close()
@@ -136,6 +139,17 @@ class RenderProcess:
         )
 
 
+def _environment(scratch: str) -> dict[str, str]:
+    """Return Blender's environment: one rasteriser thread, this Python's packages, nothing in the user's home."""
+    return {
+        **os.environ,
+        "LP_NUM_THREADS": "1",
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        "TMPDIR": scratch,
+        "BLENDER_USER_RESOURCES": scratch,
+    }
+
+
 def check_blender_installed() -> None:
     """Check that bpy can be imported by this Python.
 
@@ -166,6 +180,7 @@ def _serve(descriptor: int) -> None:
     except RenderError as error:
         connection.send(error)
         return
+    shutil.rmtree(os.environ["TMPDIR"], ignore_errors=True)  # nothing is left, even if parent and child are killed
     connection.send(renderer.versions)
     while True:
         try:
