@@ -20,6 +20,6 @@ def plot(folder: Path, split: str, start: int, count: int, out: Path | None) -> 
     samples = dataset.load(folder, split)
     if start >= len(samples):
         raise click.UsageError(f"--start {start}: the split has {len(samples)} images, from 0")
-    path = out or folder.parent / f"{folder.name}-{split}.png"
+    path = out or folder.parent / f"{folder.resolve().name}-{split}.png"
     contact_sheet(samples[start : start + count], path)
     click.echo(path)

@@ -3,6 +3,7 @@
 import os
 from functools import partial
 from pathlib import Path
+from shlex import quote
 
 import click
 from symsol_annot_cli.parameters import ObjectType, progress_bar
@@ -79,7 +80,7 @@ def _summarise(folder: Path, manifest: Manifest) -> None:
             sets = "with symmetry sets" if manifest.is_annotated(split) else "without symmetry sets"
             click.echo(f"  {split}: {manifest.images(split)} images {sets}, {len(entries)} shards, {mebibytes:.1f} MiB")
     split = "test" if manifest.images("test") else "train"
+    path, code = quote(str(folder)), f"import symsol_annot; print(symsol_annot.load({str(folder)!r}, {split!r})[0])"
     click.echo(
-        f"Next:\n  symsol-annot verify {folder}\n  symsol-annot plot {folder} --split {split}\n"
-        f'  python -c "import symsol_annot; print(symsol_annot.load({str(folder)!r}, {split!r})[0])"'
+        f"Next:\n  symsol-annot verify {path}\n  symsol-annot plot {path} --split {split}\n  python -c {quote(code)}"
     )

@@ -40,8 +40,11 @@ def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int
 
 
 def _sets_in(folder: Path) -> list[Path]:
-    sets = sorted(path.parent for path in folder.glob("*/manifest.json"))
-    return sets if sets and not (folder / "manifest.json").exists() else [folder]
+    try:
+        sets = sorted(path.parent for path in folder.glob("*/manifest.json"))
+        return sets if sets and not (folder / "manifest.json").exists() else [folder]
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
 
 
 def _verify_set(folder: Path) -> list[str]:

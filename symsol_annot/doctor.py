@@ -79,12 +79,15 @@ def install_command(packages: list[str]) -> str:
 def install_missing_packages() -> list[str]:
     """Install the system libraries that are missing, where this user may; return what is still missing."""
     packages = missing_packages()
-    may_install = (
-        os.geteuid() == 0 or subprocess.run(["sudo", "-n", "true"], capture_output=True, check=False).returncode == 0
-    )
-    if packages and shutil.which("apt-get") and may_install:
+    if packages and shutil.which("apt-get") and _may_install():
         subprocess.run(install_command(packages), shell=True, check=False)  # noqa: S602 - our own words
     return missing_packages()
+
+
+def _may_install() -> bool:
+    if os.geteuid() == 0 or shutil.which("sudo") is None:
+        return os.geteuid() == 0
+    return subprocess.run(["sudo", "-n", "true"], capture_output=True, check=False).returncode == 0
 
 
 def _python() -> Finding:
@@ -112,10 +115,17 @@ def _is_loadable(library: str) -> bool:
 
 
 def _disk(folder: Path) -> Finding:
-    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if _is_there(path))
     free = shutil.disk_usage(existing).free
     remedy = "" if free >= _ENOUGH_DISK_BYTES else "make room, or choose another disk with --out"
     return Finding("disk space", not remedy, f"{free / 2**30:.1f} GiB free for {existing}", remedy)
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # in a folder that may not be looked into
+        return False
 
 
 def _engine(engine: str) -> Finding:

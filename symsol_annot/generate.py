@@ -18,7 +18,7 @@ import numpy as np
 from symsol_annot import __version__
 from symsol_annot.annotate import annotate, is_shown, marking_pixels
 from symsol_annot.errors import DataError, DifferentSetError, SettingsError
-from symsol_annot.files import make_folder, remove_partial_files, write_atomically
+from symsol_annot.files import make_folder, output_errors, remove_partial_files, write_atomically
 from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest, write_manifest
 from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import Camera, Renderer, RenderSettings
@@ -128,7 +128,10 @@ def generate(
 def _open_set(plan: SetPlan, folder: Path) -> Manifest:
     """Return the manifest to go on from: the one that is there, if it is of this plan, or a new one; touch nothing."""
     planned = plan.manifest()
-    if (folder / MANIFEST_NAME).exists():
+    with output_errors(folder):
+        is_there = (folder / MANIFEST_NAME).exists()
+        foreign = sorted(path.name for path in folder.glob("*.h5")) if folder.is_dir() else []
+    if is_there:
         manifest = read_manifest(folder)
         differences = planned.differences(manifest)
         if differences:
@@ -140,7 +143,6 @@ def _open_set(plan: SetPlan, folder: Path) -> Manifest:
                 "`symsol-annot verify` says more; delete the folder, or fetch those shards again"
             )
         return manifest
-    foreign = sorted(path.name for path in folder.glob("*.h5")) if folder.is_dir() else []
     if foreign:
         raise DifferentSetError(str(folder), [f"it holds {foreign[0]} without a {MANIFEST_NAME}"])
     return planned

@@ -221,11 +221,21 @@ class _Toml:
 
     def fault(self, field: str, what: str) -> ObjectError:
         """Return the error that says what is wrong with a field, and where."""
-        key = re.escape(field.rsplit(".", 1)[-1])
-        lines = self._text.splitlines() if self.has(field) else []
-        numbers = [n for n, line in enumerate(lines, start=1) if re.search(rf"(^|[{{,\s\"']){key}[\"']?\s*=", line)]
-        where = f"{self._path}, line {numbers[0]}" if len(numbers) == 1 else str(self._path)
+        line = self._line_of(field) if self.has(field) else None
+        where = f"{self._path}, line {line}" if line else str(self._path)
         return ObjectError(f"{where}: {field}: {what}")
+
+    def _line_of(self, field: str) -> int | None:
+        """Return the line where a dotted field is set, by its table's header and its key, or in an inline table."""
+        table = ""
+        for number, line in enumerate(self._text.splitlines(), start=1):
+            header = re.match(r"\s*\[([^\[\]]+)\]", line)
+            key = re.match(r"\s*([^\s=#]+)\s*=", line)
+            if header:
+                table = _plain(header[1]) + "."
+            elif key and f"{field}.".startswith(f"{table}{_plain(key[1])}."):
+                return number
+        return None
 
     def _find(self, field: str) -> Any:
         value: Any = self._tables
@@ -235,6 +245,11 @@ class _Toml:
 
 
 _TOML_NAMES = {int: "a whole number", float: "a number", str: "a string", bool: "true or false", list: "a list"}
+
+
+def _plain(key: str) -> str:
+    """Return a dotted TOML key without quotes and spaces."""
+    return re.sub(r"[\s\"']", "", key)
 
 
 def _leaves(table: dict[str, Any], prefix: str = "") -> list[str]:

@@ -5,7 +5,6 @@ frame or one batch of counts at a time. What Blender prints goes to an unnamed f
 """
 
 import contextlib
-import ctypes
 import os
 import shutil
 import signal
@@ -14,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from importlib import util
 from itertools import groupby
 from multiprocessing.connection import Connection
@@ -27,15 +27,14 @@ from symsol_annot.errors import RendererCrashedError, RendererMissingError, Rend
 from symsol_annot.mesh import Mesh
 from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import Camera, RenderSettings, View
-from symsol_annot.so3 import Rotations
+from symsol_annot.so3 import Rotations, check_rotations
 
 RENDERING_PYTHON = (3, 11)
 COUNTS_PER_REQUEST = 90  # rotations counted between two looks at the parent
 _QUOTED_LINES = 12
 _FRAME_CHATTER = ("Saved:", "Time:", "Fra:")
 _NO_OPENGL = ("No OpenGL vendor detected", "Couldn't find current GLX or EGL context", "libEGL")
-_PARENT_DIED = signal.SIGKILL
-_PR_SET_PDEATHSIG = 1
+_WATCH_SECONDS = 0.2
 
 
 class RenderProcess:
@@ -45,6 +44,7 @@ class RenderProcess:
         RendererMissingError: bpy or a library that it needs is not there.
         RendererCrashedError: the process ended by itself; the message quotes its last lines.
         RenderError: Blender drew something that is no segmentation.
+        RotationError: what should be drawn is no rotation.
     """
 
     def __init__(self, spec: ObjectSpec, camera: Camera, settings: RenderSettings) -> None:
@@ -83,13 +83,14 @@ class RenderProcess:
 
     def render(self, R_m2c: Rotations) -> View:
         """Draw the object under one rotation (3, 3)."""
-        view: View = self._ask("render", np.asarray(R_m2c))
+        view: View = self._ask("render", check_rotations(R_m2c, "R_m2c"))
         return view
 
     def marking_pixels(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
         """Return the marking's visible area in pixels under each of (n, 3, 3) rotations: (n,)."""
+        R_m2c = check_rotations(R_m2c, "R_m2c")
         batches = [R_m2c[start : start + COUNTS_PER_REQUEST] for start in range(0, len(R_m2c), COUNTS_PER_REQUEST)]
-        return np.concatenate([np.zeros(0), *(self._ask("marking_pixels", np.asarray(batch)) for batch in batches)])
+        return np.concatenate([np.zeros(0), *(self._ask("marking_pixels", batch) for batch in batches)])
 
     def close(self) -> None:
         """End the process, whatever it is doing; a request under way in another thread ends as a crash."""
@@ -121,6 +122,8 @@ class RenderProcess:
         return answer
 
     def _crash(self) -> RenderError:
+        if self._log.closed:
+            return RendererCrashedError("the renderer was closed while it was drawing, or before")
         code = self._process.wait()
         how = f"was ended by signal {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         self._log.seek(0)
@@ -205,11 +208,17 @@ def _start_blender(mesh: Mesh, camera: Camera, settings: RenderSettings) -> Any:
 
 
 def _die_with(parent: int) -> None:
-    """On Linux, have the kernel end this process when its parent dies, also in the middle of a frame."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, _PARENT_DIED)
-    if os.getppid() != parent:
+    """End this process soon after its parent, also where the parent was killed in the middle of a frame.
+
+    The kernel's own notice (PR_SET_PDEATHSIG) would come when the thread ends that started this process.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_SECONDS)
         os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _forget_chatter() -> None:
@@ -217,6 +226,7 @@ def _forget_chatter() -> None:
     sys.stdout.flush()
     with contextlib.suppress(OSError):
         os.ftruncate(1, 0)
+        os.lseek(1, 0, os.SEEK_SET)
 
 
 if __name__ == "__main__":

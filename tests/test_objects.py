@@ -334,10 +334,10 @@ def test_a_field_of_the_wrong_type_is_named_with_its_line(fault_of, field, value
 
 
 @pytest.mark.parametrize("field", LINE_OF_KIND)
-def test_a_fault_of_a_key_that_stands_twice_is_named_without_a_line(fault_of, field):
-    toml, _ = edited(TOML, LINE_OF_KIND[field], "kind = 3")
+def test_a_fault_of_a_key_that_stands_in_two_tables_is_named_with_its_own_line(fault_of, field):
+    toml, line = edited(TOML, LINE_OF_KIND[field], "kind = 3")
     message, path = fault_of(toml)
-    assert message == f"{path}: {field}: expected a string, found 3"
+    assert message == f"{path}, line {line}: {field}: expected a string, found 3"
 
 
 @pytest.mark.parametrize(
@@ -393,10 +393,10 @@ def test_a_name_that_no_file_should_have_is_refused(fault_of, name):
 
 @pytest.mark.parametrize("field", LINE_OF_KIND)
 def test_a_kind_of_group_that_does_not_exist_is_refused_with_those_that_do(fault_of, field):
-    toml, _ = edited(TOML, LINE_OF_KIND[field], 'kind = "spherical"')
+    toml, line = edited(TOML, LINE_OF_KIND[field], 'kind = "spherical"')
     message, path = fault_of(toml)
     kinds = "cyclic, dihedral, tetrahedral, octahedral, icosahedral"
-    assert message == f"{path}: {field}: expected one of {kinds}, found 'spherical'"
+    assert message == f"{path}, line {line}: {field}: expected one of {kinds}, found 'spherical'"
 
 
 @pytest.mark.parametrize("order", [0, -3, 3601])
