@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.manifest import SPLITS, Manifest, read_manifest
-from symsol_annot.shards import open_shard_file
+from symsol_annot.shards import HDF5_ERRORS, header_mismatches, open_shard_file
 from symsol_annot.so3 import Rotations
 
 _MAX_OPEN_SHARDS = 8
@@ -132,7 +132,9 @@ class Dataset(Sequence[Sample]):
         if number not in self._open:
             while len(self._open) >= _MAX_OPEN_SHARDS:
                 self._open.popitem(last=False)[1].close()
-            self._open[number] = _OpenShard(self.folder / self._entries[number].file)
+            entry = self._entries[number]
+            expected = self.manifest.expected_attributes(entry)
+            self._open[number] = _OpenShard(self.folder / entry.file, entry.images, expected)
         self._open.move_to_end(number)
         return self._open[number]
 
@@ -140,11 +142,20 @@ class Dataset(Sequence[Sample]):
 class _OpenShard:
     """One open file and the small arrays of it that every sample needs."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, images: int, expected: dict[str, Any]) -> None:
         self._file = open_shard_file(path)
+        faults = header_mismatches(self._file, expected)
+        if len(self._file["rotation"]) != images:
+            faults.append(f"expected {images} images, found {len(self._file['rotation'])}")
+        if faults:
+            self._file.close()
+            raise DataError(f"{path}: is no shard of this set:\n" + "\n".join(f"  - {fault}" for fault in faults))
         self._first_index = int(self._file.attrs["first_index"])
         self._tolerance_px = float(self._file.attrs["tolerance_px"])
-        self.symmetry_group: Rotations = self._file["symmetry_group"][...]
+        try:
+            self.symmetry_group: Rotations = self._file["symmetry_group"][...]
+        except HDF5_ERRORS as error:
+            raise DataError(f"{path}: symmetry_group cannot be read: {error}") from None
 
     def sample(self, index: int) -> Sample:
         row = index - self._first_index
@@ -161,7 +172,7 @@ class _OpenShard:
                 symmetry_mask=mask,
                 symmetry_group=self.symmetry_group,
             )
-        except (OSError, ValueError, IndexError) as error:
+        except HDF5_ERRORS as error:
             raise DataError(
                 f"{self._file.filename}: row {row} cannot be read: {error}. `symsol-annot verify` checks the whole set"
             ) from None

@@ -6,6 +6,7 @@ digest of itself. `fingerprint` names the finished set by its contents.
 
 import hashlib
 import json
+import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -87,6 +88,21 @@ class Manifest:
         """Tell whether a split carries symmetry sets."""
         return self.recipe["annotate"] in ("all", split)
 
+    def expected_attributes(self, entry: ShardEntry) -> dict[str, Any]:
+        """Return the attributes that a shard of this set carries, but for the software's versions."""
+        recipe = self.recipe
+        return {
+            "object": recipe["object"],
+            "object_sha256": recipe["object_sha256"],
+            "seed": recipe["seed"],
+            "split": entry.split,
+            "first_index": entry.first_index,
+            "camera": json.dumps(recipe["camera"], sort_keys=True),
+            "render": json.dumps(recipe["render"], sort_keys=True),
+            "engine": recipe["render"]["engine"],
+            "tolerance_px": math.nan if recipe["tolerance_px"] is None else recipe["tolerance_px"],
+        }
+
     def with_finished(self, entry: ShardEntry) -> "Manifest":
         """Return the manifest with one shard's entry replaced."""
         return replace(self, shards=tuple(entry if shard.file == entry.file else shard for shard in self.shards))
@@ -130,7 +146,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise DataError(f"{folder}: holds no {MANIFEST_NAME}; {_hint(folder)}") from None
     except NotADirectoryError:
         raise DataError(f"{folder}: is a file; a set is a folder, like data/cylO") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"{path}: cannot be read as JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != MANIFEST_FORMAT:
         raise DataError(f"{path}: is no manifest of a set ('format' is not {MANIFEST_FORMAT!r})")

@@ -25,6 +25,24 @@ SHARD_FORMAT = "symsol-annot shard"
 SHARD_FORMAT_VERSION = 1
 _GZIP_LEVEL = 4
 _IMAGE_DATASETS = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask")  # one row an image
+_TEXT, _WHOLE, _REAL = (str,), (int, np.integer), (float, np.floating)
+_ATTRIBUTES: dict[str, tuple[type, ...]] = {
+    "format": _TEXT,
+    "format_version": _WHOLE,
+    "object": _TEXT,
+    "object_sha256": _TEXT,
+    "split": _TEXT,
+    "first_index": _WHOLE,
+    "seed": _WHOLE,
+    "camera": _TEXT,
+    "render": _TEXT,
+    "engine": _TEXT,
+    "tolerance_px": _REAL,
+    "versions": _TEXT,
+    "candidates_drawn": _WHOLE,
+    "candidates_within_tolerance": _WHOLE,
+}
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 _ALLOWED_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_SHUFFLE}
 
 
@@ -192,28 +210,59 @@ def open_shard_file(path: Path) -> h5py.File:
     return file
 
 
+def header_mismatches(file: h5py.File, expected: dict[str, Any]) -> list[str]:
+    """Say which attributes of an open shard are not the expected ones, as `ShardHeader.to_attributes` names them."""
+    return [
+        f"attribute {name!r}: expected {value!r}, found {file.attrs[name]!r}"
+        for name, value in expected.items()
+        if file.attrs[name] != value and not (value != value and np.isnan(file.attrs[name]))  # noqa: PLR0124 - NaN
+    ]
+
+
 def _structure_faults(file: h5py.File) -> list[str]:
     """List what keeps a file from being a shard, without reading a data set: links, types, shapes, filters."""
-    if file.attrs.get("format") != SHARD_FORMAT:
-        return [f"attribute 'format': expected {SHARD_FORMAT!r}, found {file.attrs.get('format')!r}"]
-    if file.attrs.get("format_version") != SHARD_FORMAT_VERSION:
-        found = file.attrs.get("format_version")
-        return [f"attribute 'format_version': this version reads {SHARD_FORMAT_VERSION}, found {found}"]
-    faults = [f"attribute {name!r} is missing" for name in _ATTRIBUTES if name not in file.attrs]
     try:
-        camera = json.loads(file.attrs["camera"])
-        expected = _expected_datasets(file, int(camera["height"]), int(camera["width"]))
-    except (KeyError, TypeError, ValueError) as error:
-        return [*faults, f"attribute 'camera' is no JSON with width and height: {error}"]
-    for name in file:
-        if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-            faults.append(f"{name!r} is a link to somewhere else")
-        elif name not in expected and name != "symmetry_mask":
-            faults.append(f"{name!r} is not part of the format")
-    if not faults:
-        for name, (shape, dtype) in expected.items():
-            faults += _dataset_faults(file, name, shape, dtype)
+        if _format_faults(file):
+            return _format_faults(file)
+        faults = _attribute_faults(file)
+        for name in file:
+            if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                faults.append(f"{name!r} is a link to somewhere else")
+            elif name not in _IMAGE_DATASETS and name != "symmetry_group":
+                faults.append(f"{name!r} is not part of the format")
+        if not faults:
+            camera = json.loads(file.attrs["camera"])
+            for name, (shape, dtype) in _expected_datasets(file, camera["height"], camera["width"]).items():
+                faults += _dataset_faults(file, name, shape, dtype)
+    except HDF5_ERRORS as error:
+        return [f"is damaged: {error}"]
     return faults
+
+
+def _format_faults(file: h5py.File) -> list[str]:
+    for name, expected in (("format", SHARD_FORMAT), ("format_version", SHARD_FORMAT_VERSION)):
+        found = file.attrs.get(name)
+        if not isinstance(found, _ATTRIBUTES[name]) or found != expected:
+            return [f"attribute {name!r}: this version reads {expected}, found {found}"]
+    return []
+
+
+def _attribute_faults(file: h5py.File) -> list[str]:
+    faults = [
+        f"attribute {name!r} is missing or of a wrong type: found {file.attrs.get(name)!r}"
+        for name, types in _ATTRIBUTES.items()
+        if not isinstance(file.attrs.get(name), types)
+    ]
+    return faults or _camera_faults(file.attrs["camera"])
+
+
+def _camera_faults(text: str) -> list[str]:
+    try:
+        camera = json.loads(text)
+        is_camera = all(isinstance(camera[side], int) and camera[side] > 0 for side in ("width", "height"))
+    except (KeyError, TypeError, ValueError, RecursionError):
+        is_camera = False
+    return [] if is_camera else [f"attribute 'camera' is no JSON with width and height: {text[:80]!r}"]
 
 
 def _expected_datasets(file: h5py.File, height: int, width: int) -> dict[str, tuple[tuple[int, ...], str]]:
@@ -244,6 +293,10 @@ def _dataset_faults(file: h5py.File, name: str, shape: tuple[int, ...], dtype: s
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset):
         return [f"{name!r} is no data set"]
+    try:
+        _ = dataset.dtype
+    except TypeError as error:
+        return [f"{name!r} has a type that is not part of the format: {error}"]
     if dataset.shape != shape or dataset.dtype.str != dtype or 0 in shape:
         return [f"{name!r}: expected {dtype} of shape {shape}, found {dataset.dtype.str} of shape {dataset.shape}"]
     plist = dataset.id.get_create_plist()
@@ -251,8 +304,3 @@ def _dataset_faults(file: h5py.File, name: str, shape: tuple[int, ...], dtype: s
     if dataset.is_virtual or dataset.external or not filters <= _ALLOWED_FILTERS:
         return [f"{name!r} is stored outside the file or with a filter that is not allowed"]
     return []
-
-
-_ATTRIBUTES = (
-    "object", "object_sha256", "split", "first_index", "seed", "camera", "render", "engine", "tolerance_px", "versions",
-)  # fmt: skip

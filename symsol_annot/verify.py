@@ -12,7 +12,7 @@ import numpy.typing as npt
 from symsol_annot.errors import DataError
 from symsol_annot.manifest import Manifest, ShardEntry, read_manifest
 from symsol_annot.scene import MARKING
-from symsol_annot.shards import content_sha256, open_shard
+from symsol_annot.shards import HDF5_ERRORS, content_sha256, header_mismatches, open_shard
 from symsol_annot.so3 import ORTHONORMAL_TOLERANCE, Rotations, rotation_deviation
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
@@ -35,8 +35,9 @@ def verify(folder: Path, on_shard: Callable[[], object] = lambda: None) -> list[
     """
     manifest = read_manifest(folder)
     faults = _folder_faults(folder, manifest)
+    group = _SharedGroup()
     for entry in manifest.shards:
-        faults += [f"{entry.file}: {fault}" for fault in _shard_faults(folder, manifest, entry)]
+        faults += [f"{entry.file}: {fault}" for fault in _shard_faults(folder, manifest, entry, group)]
         on_shard()
     return faults
 
@@ -53,7 +54,7 @@ def _folder_faults(folder: Path, manifest: Manifest) -> list[str]:
     return faults
 
 
-def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry) -> list[str]:
+def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, group: "_SharedGroup") -> list[str]:
     if not entry.is_finished:
         return []
     path = folder / entry.file
@@ -66,27 +67,20 @@ def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry) -> list[s
         return [f"is damaged: expected {entry.bytes} bytes, found {path.stat().st_size}"]
     if sha256 != entry.sha256:
         return [f"is damaged: expected SHA-256 {entry.sha256}, found {sha256}"]
+    faults: list[str] = []
     try:
         with open_shard(path) as shard:
-            return [
-                *_header_faults(manifest, entry, shard),
-                *_content_faults(shard),
-            ]
+            for found in (_header_faults(manifest, entry, shard), _content_faults(shard), group.faults_of(shard)):
+                faults += found
     except DataError as error:
-        return [str(error)]
+        faults.append(str(error))
+    except HDF5_ERRORS as error:
+        faults.append(f"cannot be read, though its checksum is right: {error}")
+    return faults
 
 
 def _header_faults(manifest: Manifest, entry: ShardEntry, shard: h5py.File) -> Iterator[str]:
-    expected = {
-        "object": manifest.recipe["object"],
-        "object_sha256": manifest.recipe["object_sha256"],
-        "seed": manifest.recipe["seed"],
-        "split": entry.split,
-        "first_index": entry.first_index,
-    }
-    for name, value in expected.items():
-        if shard.attrs[name] != value:
-            yield f"attribute {name!r}: the manifest says {value!r}, the shard {shard.attrs[name]!r}"
+    yield from header_mismatches(shard, manifest.expected_attributes(entry))
     if len(shard["rotation"]) != entry.images:
         yield f"the manifest says {entry.images} images, the shard holds {len(shard['rotation'])}"
     if ("symmetry_mask" in shard) != manifest.is_annotated(entry.split):
@@ -126,10 +120,28 @@ def _group_faults(group: Rotations) -> Iterator[str]:
         yield "symmetry_group: element 0 is not the identity"
 
 
+class _SharedGroup:
+    """The symmetry group of the first shard that was read; all others must have the same."""
+
+    def __init__(self) -> None:
+        self._group: Rotations | None = None
+
+    def faults_of(self, shard: h5py.File) -> Iterator[str]:
+        group = shard["symmetry_group"][...]
+        if self._group is None:
+            self._group = group
+        elif not np.array_equal(self._group, group):
+            yield "symmetry_group: is not that of the set's first shard"
+
+
 def _mask_faults(shard: h5py.File, images: Callable[[Flags], str]) -> Iterator[str]:
     mask = shard["symmetry_mask"][...]
     if not mask[:, 0].all():
         yield f"symmetry_mask: {images(~mask[:, 0])}: the set lacks R_gt, the image's own rotation"
+    if np.isnan(shard.attrs["tolerance_px"]):
+        if not mask.all():
+            yield f"symmetry_mask: {images(~mask.all(axis=1))}: a body without marking has its whole group"
+        return
     shown = shard["marking_pixels"][...] >= float(shard.attrs["tolerance_px"])
     if shown.any() and (mask[shown] != mask[shown][0]).any():
         yield "symmetry_mask: images that show the marking have different sets, expected the stabiliser in each"

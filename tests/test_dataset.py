@@ -1,0 +1,418 @@
+"""Loading a set: every sample is what h5py reads, whichever way and in whichever process it is asked for."""
+
+import multiprocessing
+import operator
+import pickle
+import random
+import shutil
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from conftest import make_set
+
+import symsol_annot
+from symsol_annot import dataset as dataset_module
+from symsol_annot import generate as generate_module
+from symsol_annot.dataset import Sample, load
+from symsol_annot.errors import DataError, NotAnnotatedError
+from symsol_annot.manifest import read_manifest, write_manifest
+
+TEST_IMAGES, TRAIN_IMAGES, PER_SHARD = 40, 5, 16
+ALL_TEST_SHARDS = [f"test-{number:05d}-of-00003.h5" for number in range(3)]
+
+
+@pytest.fixture(scope="module")
+def tet_set(tmp_path_factory):
+    """A small set of a body without marking; not to be written to."""
+    return make_set(tmp_path_factory.mktemp("unmarked"), "tet", test=4, size=16)
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """The names of the shards that are opened from here on, in order."""
+    names, really_open = [], dataset_module.open_shard_file
+    monkeypatch.setattr(dataset_module, "open_shard_file", lambda path: names.append(path.name) or really_open(path))
+    return names
+
+
+def expected_samples(folder, split="test"):
+    """What h5py alone reads from a split's files, in order: the fields of each image by name."""
+    samples = []
+    for path in sorted(folder.glob(f"{split}-*.h5")):
+        with h5py.File(path) as file:
+            arrays = {name: file[name][...] for name in file}
+        group = arrays.pop("symmetry_group")
+        rows = range(len(arrays["image"]))
+        samples += [{"symmetry_group": group, **{name: values[row] for name, values in arrays.items()}} for row in rows]
+    return samples
+
+
+def assert_is(sample, index, expected):
+    """Check each field of a sample against what h5py read."""
+    assert isinstance(sample, Sample)
+    assert sample.index == index
+    for name in ("image", "segmentation", "rotation", "symmetry_group"):
+        found = getattr(sample, name)
+        assert found.dtype == expected[name].dtype
+        np.testing.assert_array_equal(found, expected[name])
+    assert sample.marking_pixels == expected["marking_pixels"]
+    if "symmetry_mask" in expected:
+        assert sample.symmetry_mask.dtype == bool
+        np.testing.assert_array_equal(sample.symmetry_mask, expected["symmetry_mask"])
+    else:
+        assert sample.symmetry_mask is None
+
+
+def indices(dataset):
+    return [sample.index for sample in dataset]
+
+
+def open_files():
+    return h5py.h5f.get_obj_count(h5py.h5f.OBJ_ALL, h5py.h5f.OBJ_FILE)
+
+
+def test_every_field_of_every_sample_is_what_h5py_reads(tetX_set):
+    for split, count in (("test", TEST_IMAGES), ("train", TRAIN_IMAGES)):
+        dataset = load(tetX_set, split)
+        expected = expected_samples(tetX_set, split)
+        assert len(dataset) == len(expected) == count
+        for index in range(count):
+            assert_is(dataset[index], index, expected[index])
+
+
+def test_load_is_public_and_gives_the_test_split_by_default(tetX_set):
+    dataset = symsol_annot.load(str(tetX_set))
+    assert (dataset.object, dataset.split, len(dataset)) == ("tetX", "test", TEST_IMAGES)
+    assert repr(dataset) == f"<tetX test: 40 images in {tetX_set}>"
+
+
+def test_order_of_access_does_not_matter(tetX_set):
+    dataset, expected = load(tetX_set), expected_samples(tetX_set)
+    order = list(range(TEST_IMAGES)) * 2
+    random.Random(0).shuffle(order)
+    for index in order:
+        assert_is(dataset[index], index, expected[index])
+
+
+def test_iteration_gives_every_sample_once_and_in_order(tetX_set):
+    dataset = load(tetX_set)
+    assert indices(dataset) == indices(dataset) == list(range(TEST_IMAGES))
+    assert indices(reversed(dataset)) == list(range(TEST_IMAGES))[::-1]
+
+
+@pytest.mark.parametrize("index", [-1, -8, -9, -TEST_IMAGES, np.int64(17), np.uint8(3)])
+def test_negative_and_numpy_integers_index_like_a_lists(tetX_set, index):
+    expected = range(TEST_IMAGES)[index]
+    assert_is(load(tetX_set)[index], expected, expected_samples(tetX_set)[expected])
+
+
+@pytest.mark.parametrize("index", [TEST_IMAGES, TEST_IMAGES + 1, -TEST_IMAGES - 1, 10**9])
+def test_index_out_of_range_is_an_index_error_that_says_the_range(tetX_set, index):
+    with pytest.raises(IndexError, match=f"index {index} is out of range: .* has 40 images"):
+        load(tetX_set)[index]
+
+
+@pytest.mark.parametrize("index", [1.0, "1", None, (0, 1)])
+def test_index_that_is_no_integer_is_a_type_error(tetX_set, index):
+    with pytest.raises(TypeError):
+        load(tetX_set)[index]
+
+
+SLICES = [
+    slice(None),
+    slice(5),
+    slice(10, 30),
+    slice(15, 17),
+    slice(None, None, 7),
+    slice(39, 2, -5),
+    slice(None, None, -1),
+    slice(-3, None),
+    slice(20, 10),
+    slice(0, 1000),
+]
+
+
+@pytest.mark.parametrize("outer", SLICES)
+def test_slice_is_the_dataset_of_what_a_lists_slice_holds(tetX_set, outer):
+    dataset, expected = load(tetX_set), list(range(TEST_IMAGES))[outer]
+    part = dataset[outer]
+    assert type(part) is type(dataset)
+    assert len(part) == len(expected)
+    assert indices(part) == expected
+    for inner in SLICES:
+        assert indices(part[inner][::-1][:3]) == expected[inner][::-1][:3]
+
+
+def test_samples_of_a_slice_are_those_of_the_whole(tetX_set):
+    part, expected = load(tetX_set)[30:10:-7], expected_samples(tetX_set)
+    for position, index in enumerate((30, 23, 16)):
+        assert_is(part[position], index, expected[index])
+    assert part[-1].index == 16
+    with pytest.raises(IndexError, match="has 3 images"):
+        part[3]
+
+
+def test_empty_slice_is_an_empty_dataset(tetX_set):
+    empty = load(tetX_set)[10:10]
+    assert len(empty) == 0
+    assert indices(empty) == []
+    with pytest.raises(IndexError):
+        empty[0]
+
+
+def test_symmetry_set_is_the_label_times_the_members_of_the_group(tetX_set):
+    sizes = set()
+    for sample, expected in zip(load(tetX_set), expected_samples(tetX_set), strict=True):
+        R = expected["rotation"]
+        members = [g for g, is_in in zip(expected["symmetry_group"], expected["symmetry_mask"], strict=True) if is_in]
+        products = np.zeros((len(members), 3, 3))
+        for m, i, j, k in np.ndindex(len(members), 3, 3, 3):
+            products[m, i, j] += R[i, k] * members[m][k, j]
+        assert sample.symmetry_set.dtype == np.float64
+        assert sample.symmetry_set.shape == products.shape
+        np.testing.assert_allclose(sample.symmetry_set, products, rtol=0, atol=1e-14)
+        sizes.add(len(members))
+    assert len(sizes) > 1  # else a mask that nobody reads would do
+
+
+def test_symmetry_set_holds_the_images_own_rotation_once(tetX_set):
+    for sample in load(tetX_set):
+        off = np.abs(sample.symmetry_set - sample.rotation).max(axis=(1, 2))
+        assert np.count_nonzero(off < 1e-12) == 1
+
+
+def test_symmetry_set_keeps_the_body_where_it_is(tetX_set):
+    # corners of the tetrahedron, in model coordinates: a member maps them to the same four points as the label does
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]).T / 3**0.5
+    for sample in load(tetX_set)[::5]:
+        there = np.sort((sample.rotation @ corners).T, axis=0)
+        for R_m2c in sample.symmetry_set:
+            np.testing.assert_allclose(np.sort((R_m2c @ corners).T, axis=0), there, atol=1e-12)
+
+
+def test_dataset_knows_its_group_and_whether_it_is_annotated(tetX_set):
+    test, train = load(tetX_set), load(tetX_set, "train")
+    assert (test.is_annotated, train.is_annotated) == (True, False)
+    assert test.symmetry_group.shape == (12, 3, 3)
+    np.testing.assert_array_equal(test.symmetry_group[0], np.eye(3))
+    np.testing.assert_array_equal(test.symmetry_group, train.symmetry_group)
+
+
+def test_symmetry_set_of_a_split_without_is_an_error_that_says_how_to_get_it(tetX_set):
+    sample = load(tetX_set, "train")[3]
+    with pytest.raises(NotAnnotatedError, match=r"image 3 has no symmetry set.*--annotate all"):
+        _ = sample.symmetry_set
+
+
+@pytest.mark.parametrize(
+    ("pixels", "is_visible"), [(0.0, False), (4.75, False), (5.0, True), (5.25, True), (300.0, True)]
+)
+def test_marking_is_visible_from_the_objects_tolerance_on(tetX_set, pixels, is_visible):
+    with h5py.File(tetX_set / "test-00000-of-00003.h5", "r+") as file:
+        assert file.attrs["tolerance_px"] == 5.0
+        file["marking_pixels"][2] = pixels
+    sample = load(tetX_set)[2]
+    assert (sample.marking_pixels, sample.marking_visible) == (pixels, is_visible)
+    assert isinstance(sample.marking_visible, bool)
+
+
+def test_body_without_marking_shows_none_and_has_its_whole_group_as_set(tet_set):
+    for sample in load(tet_set):
+        assert (sample.marking_pixels, sample.marking_visible) == (0.0, False)
+        np.testing.assert_array_equal(sample.symmetry_set, sample.rotation @ sample.symmetry_group)
+        assert sample.symmetry_set.shape == (12, 3, 3)
+
+
+def test_no_shard_is_opened_before_a_sample_is_asked_for(tetX_set, monkeypatch):
+    def refuse(*arguments, **options):
+        pytest.fail(f"{arguments} was opened")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(dataset_module, "open_shard_file", refuse)
+        patch.setattr(h5py, "File", refuse)
+        dataset = load(tetX_set)
+        parts = dataset[::2], pickle.loads(pickle.dumps(dataset))
+        assert (len(dataset), [len(part) for part in parts], dataset.is_annotated) == (40, [20, 40], True)
+    assert dataset[0].index == 0
+
+
+def test_access_opens_only_the_shard_that_holds_the_sample(tetX_set):
+    expected = expected_samples(tetX_set)
+    for name in ("test-00000-of-00003.h5", "test-00002-of-00003.h5"):
+        (tetX_set / name).write_bytes(b"no shard")
+    dataset = load(tetX_set)
+    for index in range(PER_SHARD, 2 * PER_SHARD):
+        assert_is(dataset[index], index, expected[index])
+    for index in (PER_SHARD - 1, 2 * PER_SHARD):
+        with pytest.raises(DataError):
+            dataset[index]
+
+
+def test_no_more_files_are_open_than_the_cap_and_none_after_close(tmp_path, monkeypatch):
+    monkeypatch.setattr(generate_module, "MAX_IMAGES_PER_SHARD", 2)
+    folder = make_set(tmp_path, "tet", test=24, size=16)
+    dataset, before, most = load(folder), open_files(), 0
+    assert len(list(folder.glob("*.h5"))) == 12 > dataset_module._MAX_OPEN_SHARDS
+    order = list(range(24)) * 2
+    random.Random(0).shuffle(order)
+    for index in order:
+        assert dataset[index].index == index
+        most = max(most, open_files() - before)
+    assert 1 < most <= dataset_module._MAX_OPEN_SHARDS
+    dataset.close()
+    assert open_files() == before
+    assert dataset[23].index == 23
+    dataset.close()
+
+
+def test_shard_is_opened_once(tetX_set, opened):
+    dataset = load(tetX_set)
+    assert indices(dataset) + indices(dataset) == list(range(TEST_IMAGES)) * 2
+    assert opened == ALL_TEST_SHARDS
+
+
+def test_shard_that_was_used_last_stays_open(tetX_set, opened, monkeypatch):
+    monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", 2)
+    dataset = load(tetX_set)
+    for index in (0, 16, 1, 32, 2):
+        assert dataset[index].index == index
+    assert opened == ALL_TEST_SHARDS
+
+
+@pytest.mark.parametrize("is_used", [False, True])
+def test_dataset_survives_pickling(tetX_set, is_used):
+    dataset, expected = load(tetX_set)[8:], expected_samples(tetX_set)
+    if is_used:
+        assert dataset[0].index == 8
+    copy = pickle.loads(pickle.dumps(dataset))
+    assert indices(copy) == indices(dataset) == list(range(8, TEST_IMAGES))
+    assert_is(copy[9], 17, expected[17])
+    assert_is(dataset[9], 17, expected[17])
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_worker_processes_read_the_same_also_after_use_in_the_parent(tetX_set, method):
+    dataset, expected = load(tetX_set), expected_samples(tetX_set)
+    for index in (0, 20, 39):
+        assert_is(dataset[index], index, expected[index])
+    with multiprocessing.get_context(method).Pool(2) as pool:
+        reading = pool.starmap_async(operator.getitem, [(dataset, index) for index in range(TEST_IMAGES)], chunksize=1)
+        for index in range(TEST_IMAGES):  # while the workers read
+            assert_is(dataset[index], index, expected[index])
+        for index, sample in enumerate(reading.get(timeout=120)):
+            assert_is(sample, index, expected[index])
+    assert_is(dataset[39], 39, expected[39])
+
+
+def put_every_third(dataset, opened, queue):
+    before = len(opened)
+    for index in range(0, TEST_IMAGES, 3):
+        queue.put(dataset[index])
+    queue.put(opened[before:])
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_files_that_are_open_at_a_fork_are_opened_anew_by_the_child(tetX_set, opened):
+    dataset, expected = load(tetX_set), expected_samples(tetX_set)
+    assert indices(dataset) == list(range(TEST_IMAGES))
+    context = multiprocessing.get_context("fork")  # what it hands over is not pickled, but the parent's very object
+    queues = [context.SimpleQueue() for _ in range(3)]
+    children = [context.Process(target=put_every_third, args=(dataset, opened, queue)) for queue in queues]
+    for child in children:
+        child.start()
+    for queue in queues:
+        for index in range(0, TEST_IMAGES, 3):
+            assert_is(queue.get(), index, expected[index])
+            assert_is(dataset[-index - 1], TEST_IMAGES - index - 1, expected[-index - 1])
+        assert queue.get() == opened == ALL_TEST_SHARDS
+    for child in children:
+        child.join(timeout=60)
+        assert child.exitcode == 0
+
+
+def test_folder_without_a_manifest_is_an_error(tmp_path):
+    for folder in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(
+            DataError, match=f"{folder}: holds no manifest.json; a set is a folder that `symsol-annot render`"
+        ):
+            load(folder)
+
+
+def test_folder_of_sets_is_an_error_that_names_them(tetX_set, tmp_path):
+    shutil.copytree(tetX_set, tmp_path / "cylO")
+    with pytest.raises(DataError, match=f"it has sets inside: {tmp_path / 'cylO'}, {tmp_path / 'tetX'}"):
+        load(tmp_path)
+
+
+def test_path_that_is_a_file_is_an_error(tetX_set):
+    with pytest.raises(DataError, match=r"test-00000-of-00003\.h5: is a file; a set is a folder, like data/cylO"):
+        load(tetX_set / "test-00000-of-00003.h5")
+
+
+def test_split_that_is_not_there_is_an_error_that_names_those_that_are(tetX_set, tet_set):
+    with pytest.raises(DataError, match="has no split 'validation'; it has train, test"):
+        load(tetX_set, "validation")
+    with pytest.raises(DataError, match="has no split 'train'; it has test"):
+        load(tet_set, "train")
+
+
+def test_missing_shards_are_an_error_at_once_and_only_for_their_own_split(tetX_set):
+    for number in (1, 2):
+        (tetX_set / f"test-0000{number}-of-00003.h5").unlink()
+    with pytest.raises(DataError, match=r"2 of 3 test shards are missing, the first test-00001-of-00003\.h5.*render"):
+        load(tetX_set, "test")
+    assert indices(load(tetX_set, "train")) == list(range(TRAIN_IMAGES))
+
+
+def test_unfinished_split_is_an_error(tetX_set):
+    manifest = read_manifest(tetX_set)
+    entry = manifest.of_split("test")[-1]
+    write_manifest(tetX_set, manifest.with_finished(replace(entry, bytes=None, sha256=None, content_sha256=None)))
+    with pytest.raises(DataError, match=r"1 of 3 test shards are missing, the first test-00002-of-00003\.h5"):
+        load(tetX_set)
+
+
+def test_shard_that_vanished_after_loading_is_an_error(tetX_set):
+    dataset = load(tetX_set)
+    (tetX_set / "test-00001-of-00003.h5").unlink()
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: no such shard"):
+        dataset[20]
+
+
+@pytest.mark.parametrize(
+    "name", ["image", "segmentation", "rotation", "marking_pixels", "symmetry_mask", "symmetry_group"]
+)
+def test_damaged_chunk_is_an_error_that_names_the_file_and_never_a_sample(tetX_set, name):
+    path = tetX_set / "test-00001-of-00003.h5"
+    with h5py.File(path) as file:
+        chunk = file[name].id.get_chunk_info(0)
+    data = bytearray(path.read_bytes())
+    data[chunk.byte_offset + chunk.size // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5"):
+        load(tetX_set)[PER_SHARD]
+
+
+def test_shard_with_fewer_images_than_the_manifest_says_is_an_error(tetX_set):
+    shutil.copy(tetX_set / "test-00002-of-00003.h5", tetX_set / "test-00001-of-00003.h5")
+    with h5py.File(tetX_set / "test-00001-of-00003.h5", "r+") as file:
+        file.attrs["first_index"] = PER_SHARD
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5"):
+        load(tetX_set)[2 * PER_SHARD - 1]
+
+
+@pytest.mark.parametrize("other", ["of another place", "of another seed", "of another split", "of another object"])
+def test_shard_of_something_else_is_an_error_and_never_a_sample(tetX_set, tmp_path, other):
+    path = tetX_set / "test-00000-of-00003.h5"
+    made = {
+        "of another place": lambda: tetX_set / "test-00001-of-00003.h5",
+        "of another seed": lambda: make_set(tmp_path / "other", test=16, seed=1) / "test-00000-of-00001.h5",
+        "of another split": lambda: tetX_set / "train-00000-of-00001.h5",
+        "of another object": lambda: make_set(tmp_path / "other", "tet", test=16) / "test-00000-of-00001.h5",
+    }
+    shutil.copy(made[other](), path)
+    with pytest.raises(DataError, match=r"test-00000-of-00003\.h5"):
+        load(tetX_set)[0]
