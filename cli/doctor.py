@@ -19,9 +19,10 @@ def doctor(*, install: bool, out: Path) -> None:
         examination.install_missing_packages()
     is_well = True
     for finding in examination.examine(out):
-        click.echo(f"{'ok  ' if finding.is_good else 'FAIL'}  {finding.what}: {finding.found}")
+        verdict = "FAIL" if not finding.is_good else "warn" if finding.remedy else "ok  "
+        click.echo(f"{verdict}  {finding.what}: {finding.found}")
         if finding.remedy:
             click.echo("      " + finding.remedy.replace("\n", "\n      "))
         is_well = is_well and finding.is_good
-    click.echo("Ready to render." if is_well else "Loading, verifying and scoring work regardless; rendering does not.")
+    click.echo("Ready to render." if is_well else "Loading and verifying work regardless; rendering does not.")
     sys.exit(0 if is_well else 1)

@@ -3,6 +3,7 @@
 Exit codes: 0 done, 1 the input or the data is wrong, 2 the command line is, 130 interrupted.
 """
 
+import signal
 import sys
 
 import click
@@ -30,6 +31,7 @@ for command in (render, objects, doctor, info, verify, plot):
 
 def main() -> None:
     """Run the command line and exit."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is half done goes
     try:
         code = app.main(standalone_mode=False)
     except click.ClickException as error:

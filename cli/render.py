@@ -8,7 +8,7 @@ from shlex import quote
 import click
 from symsol_annot_cli.parameters import ObjectType, progress_bar
 
-from symsol_annot.generate import ANNOTATE_CHOICES, SetPlan, generate
+from symsol_annot.generate import ANNOTATE_CHOICES, MAX_SEED, SetPlan, generate
 from symsol_annot.manifest import SPLITS, Manifest
 from symsol_annot.object_check import check_object
 from symsol_annot.objects import ObjectSpec
@@ -21,7 +21,7 @@ from symsol_annot.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, Render
 @click.option("--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Holds the sets.")
 @click.option("--train", type=click.IntRange(min=0), default=45000, show_default=True, help="Images to train on.")
 @click.option("--test", type=click.IntRange(min=0), default=5000, show_default=True, help="Images to test on.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random rotations.")
+@click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Of the random rotations.")
 @click.option("--size", type=click.IntRange(*SIZE_RANGE), default=DEFAULT_SIZE, show_default=True, help="In pixels.")
 @click.option("--engine", type=click.Choice(ENGINES), default=ENGINES[0], show_default=True, help="Blender's engine.")
 @click.option(

@@ -9,7 +9,7 @@ from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, progress_bar
 
 from symsol_annot import dataset
 from symsol_annot.audit import AuditReport, audit
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DataError, UnknownObjectError
 from symsol_annot.manifest import Manifest, read_manifest
 from symsol_annot.objects import ObjectSpec, load_object
 from symsol_annot.render_process import RenderProcess
@@ -31,20 +31,29 @@ def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int
     are drawn again: members of a symmetry set must draw the image, rejected candidates must not.
     """
     faults = []
-    for set_folder in _sets_in(folder):
-        found = _verify_set(set_folder)
-        if audited and not found:
-            found = _audit_set(set_folder, audited, spec, np.random.default_rng(seed))
+    sets = _sets_in(folder)
+    for set_folder in sets:
+        try:
+            found = _verify_set(set_folder)
+            if audited and not found:
+                found = _audit_set(set_folder, audited, spec, np.random.default_rng(seed))
+        except DataError as error:
+            if len(sets) == 1:
+                raise
+            click.echo(f"FAULT {error}")
+            found = [str(error)]
         faults += found
     sys.exit(1 if faults else 0)
 
 
 def _sets_in(folder: Path) -> list[Path]:
+    """Return the folder itself, or the folders in it that hold a manifest or shards."""
     try:
-        sets = sorted(path.parent for path in folder.glob("*/manifest.json"))
-        return sets if sets and not (folder / "manifest.json").exists() else [folder]
+        files = [*folder.glob("*/manifest.json"), *folder.glob("*/*.h5")]
+        is_set = (folder / "manifest.json").exists()
     except OSError as error:
         raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
+    return sorted({path.parent for path in files}) if files and not is_set else [folder]
 
 
 def _verify_set(folder: Path) -> list[str]:
@@ -66,7 +75,11 @@ def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.rando
     )
     if split is None:
         raise DataError(f"{folder}: has no split with symmetry sets, so there is nothing to audit")
-    spec = given or load_object(manifest.recipe["object"])
+    name = manifest.recipe["object"]
+    try:
+        spec = given if given and given.name == name else load_object(name)
+    except UnknownObjectError:
+        raise DataError(f"{folder}: its object {name!r} is not built in; give its folder with --object") from None
     if spec.digest != manifest.recipe["object_sha256"]:
         raise DataError(
             f"{folder}: was made from another {spec.name} than the one here (their digests differ); "

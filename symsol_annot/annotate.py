@@ -19,7 +19,7 @@ from symsol_annot.scene import Renderer
 from symsol_annot.so3 import Rotations
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Annotation:
     """One image's symmetry set over the candidates R_gt g.
 

@@ -84,7 +84,7 @@ def _audit_image(
         else:
             report.rejected += 1
             is_same = stored.draws_the_marking_of(drawn)
-            is_near = is_same and _angle_to_members_rad(sample, index) <= NEAR_RAD
+            is_near = is_same and stored.shows and _angle_to_members_rad(sample, index) <= NEAR_RAD
             report.near_neighbours += int(is_near)
             found = [f"candidate {index} was rejected, but draws the same marking"] if is_same and not is_near else []
         report.faults += [f"image {sample.index}, {what}" for what in found]

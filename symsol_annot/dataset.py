@@ -24,7 +24,7 @@ from symsol_annot.so3 import Rotations
 _MAX_OPEN_SHARDS = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sample:
     """One image and what is known of it.
 
@@ -156,6 +156,7 @@ class _OpenShard:
             self.symmetry_group: Rotations = self._file["symmetry_group"][...]
         except HDF5_ERRORS as error:
             raise DataError(f"{path}: symmetry_group cannot be read: {error}") from None
+        self.symmetry_group.setflags(write=False)  # all samples share it
 
     def sample(self, index: int) -> Sample:
         row = index - self._first_index

@@ -14,7 +14,7 @@ from symsol_annot.objects import load_object
 from symsol_annot.render_process import RENDERING_PYTHON, RenderProcess, check_blender_installed
 from symsol_annot.scene import Camera, RenderSettings
 
-# Shared library: the Debian package that holds it. The last two are loaded by EGL when it starts drawing.
+# Shared library: the Debian package that holds it.
 SYSTEM_LIBRARIES = {
     "libX11.so.6": "libx11-6",
     "libXrender.so.1": "libxrender1",
@@ -27,8 +27,8 @@ SYSTEM_LIBRARIES = {
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
     "libEGL_mesa.so.0": "libegl-mesa0",
-    "libglapi.so.0": "libgl1-mesa-dri",
 }
+_DRIVERS = "libgl1-mesa-dri"  # loaded by EGL from a path of its own, installed with what is missing
 _ENOUGH_DISK_BYTES = 5 * 2**30  # the seven published sets take less
 _PROBE_SIZE = 32
 
@@ -41,7 +41,7 @@ class Finding:
         what: its name.
         is_good: whether rendering can rely on it.
         found: what was found.
-        remedy: what to do where it is not good, else empty.
+        remedy: what to do where it is not good, or where it may not last; else empty.
     """
 
     what: str
@@ -71,9 +71,9 @@ def missing_packages() -> list[str]:
 
 
 def install_command(packages: list[str]) -> str:
-    """Return the one line that installs Debian packages."""
+    """Return the one line that installs Debian packages, and the drivers that EGL loads by itself."""
     sudo = "" if os.geteuid() == 0 else "sudo "
-    return f"{sudo}apt-get update && {sudo}apt-get install -y --no-install-recommends {' '.join(packages)}"
+    return f"{sudo}apt-get update && {sudo}apt-get install -y --no-install-recommends {' '.join([*packages, _DRIVERS])}"
 
 
 def install_missing_packages() -> list[str]:
@@ -95,7 +95,7 @@ def _python() -> Finding:
     can_render = sys.version_info[:2] == RENDERING_PYTHON
     if can_render:
         return Finding("Python", True, version)
-    remedy = "rendering needs Python 3.11: `python3.11 -m venv env && env/bin/pip install 'symsol-annot[render]'`"
+    remedy = "rendering needs 3.11: in a clone, `python3.11 -m venv env && env/bin/pip install '.[render]'`"
     return Finding("Python", False, version, remedy)
 
 
@@ -118,7 +118,7 @@ def _disk(folder: Path) -> Finding:
     existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if _is_there(path))
     free = shutil.disk_usage(existing).free
     remedy = "" if free >= _ENOUGH_DISK_BYTES else "make room, or choose another disk with --out"
-    return Finding("disk space", not remedy, f"{free / 2**30:.1f} GiB free for {existing}", remedy)
+    return Finding("disk space", True, f"{free / 2**30:.1f} GiB free for {existing}", remedy)
 
 
 def _is_there(path: Path) -> bool:

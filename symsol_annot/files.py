@@ -2,11 +2,16 @@
 
 import contextlib
 import errno
+import hashlib
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from symsol_annot.errors import OutputError
+
+if sys.platform != "win32":
+    import fcntl
 
 PARTIAL_SUFFIX = ".partial"
 
@@ -30,6 +35,42 @@ def write_atomically(path: Path, data: bytes) -> None:
                 partial.unlink()
             raise
         _sync_folder(path.parent)
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of a regular file, as hexadecimal.
+
+    Raises:
+        OSError: it is missing, unreadable, or no regular file: a pipe or a device would never end.
+    """
+    if path.exists() and (path.is_symlink() or not path.is_file()):
+        raise OSError(errno.EINVAL, "is no regular file")
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a folder for this process alone; the lock ends with the process and leaves no file.
+
+    Raises:
+        OutputError: another process holds it.
+    """
+    if sys.platform == "win32":  # has no such lock
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise OutputError(
+            f"{folder}: another process is making this set right now; wait for it, or choose another folder with --out"
+        ) from None
+    try:
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def make_folder(path: Path) -> None:

@@ -8,25 +8,26 @@ import hashlib
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-import h5py
 import numpy as np
 
 from symsol_annot import __version__
 from symsol_annot.annotate import annotate, is_shown, marking_pixels
 from symsol_annot.errors import DataError, DifferentSetError, SettingsError
-from symsol_annot.files import make_folder, output_errors, remove_partial_files, write_atomically
+from symsol_annot.files import file_sha256, locked, make_folder, output_errors, remove_partial_files, write_atomically
 from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest, write_manifest
 from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import Camera, Renderer, RenderSettings
-from symsol_annot.shards import ImageRecord, ShardFile, ShardHeader, ShardWriter
+from symsol_annot.shards import ImageRecord, ShardFile, ShardHeader, ShardWriter, read_versions, storage_versions
 from symsol_annot.so3 import Rotations, uniform_rotations
 
 ANNOTATE_CHOICES = ("test", "all", "none")
 MAX_IMAGES_PER_SHARD = 500
+MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
 _MAX_PIXELS_PER_SHARD = 2**25  # a shard is built in memory
 _SMALL_SET_SHARDS = 8  # a small set is still divided, so that several workers have work
 _MIN_IMAGES_PER_SHARD = 16
@@ -63,8 +64,8 @@ class SetPlan:
             raise SettingsError(f"splits: expected {', '.join(SPLITS)}, found {', '.join(self.images)}")
         if self.annotate not in ANNOTATE_CHOICES:
             raise SettingsError(f"annotate: expected one of {', '.join(ANNOTATE_CHOICES)}, found {self.annotate!r}")
-        if self.seed < 0:
-            raise SettingsError(f"seed: expected 0 or more, found {self.seed}")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise SettingsError(f"seed: expected 0 to {MAX_SEED}, found {self.seed}")
 
     def manifest(self) -> Manifest:
         """Return the manifest of the set before its first shard is written."""
@@ -150,10 +151,21 @@ def _open_set(plan: SetPlan, folder: Path) -> Manifest:
 
 def _is_whole(folder: Path, entry: ShardEntry) -> bool:
     try:
-        with (folder / entry.file).open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() == entry.sha256
+        return file_sha256(folder / entry.file) == entry.sha256
     except OSError:
         return False
+
+
+def _check_same_software(folder: Path, manifest: Manifest, versions: dict[str, str]) -> None:
+    """Refuse to finish a set with other software than it was begun with: its bytes would not be reproducible."""
+    for entry in manifest.shards:
+        if entry.is_finished:
+            there = read_versions(folder / entry.file)
+            names = sorted(name for name in {*there, *versions} if there.get(name) != versions.get(name))
+            if names:
+                differences = [f"{name}: there {there.get(name)}, here {versions.get(name)}" for name in names]
+                raise DifferentSetError(str(folder), differences)
+            return
 
 
 class _Run:
@@ -178,7 +190,7 @@ class _Run:
         threads = max(1, min(workers, len(self._unfinished)))
         if not self._unfinished:
             return
-        with ThreadPoolExecutor(threads, thread_name_prefix="shard") as pool:
+        with ExitStack() as self._held, ThreadPoolExecutor(threads, thread_name_prefix="shard") as pool:
             futures = [pool.submit(self._work) for _ in range(threads)]
             try:
                 done, _ = wait(futures, return_when=FIRST_EXCEPTION)
@@ -200,7 +212,9 @@ class _Run:
         with self._open_renderer() as renderer:
             with self._lock:
                 self._renderers.append(renderer)
-                self._prepare_folder()
+            versions = software_versions(renderer)  # waits for it to start
+            with self._lock:
+                self._prepare_folder(versions)
             while not self._stopping.is_set():
                 try:
                     entry = self._queue.get_nowait()
@@ -209,13 +223,17 @@ class _Run:
                 shard = make_shard(self._plan, entry, renderer, self._image_done)
                 self._keep(entry, shard)
 
-    def _prepare_folder(self) -> None:
-        """Write the manifest before the first shard, but only once there is a renderer to make it."""
-        if not self._is_prepared:
-            make_folder(self._folder)
-            remove_partial_files(self._folder)
-            write_manifest(self._folder, self._manifest)
-            self._is_prepared = True
+    def _prepare_folder(self, versions: dict[str, str]) -> None:
+        """Take the folder and write the manifest before the first shard, but only once there is a renderer for it."""
+        if self._is_prepared:
+            return
+        make_folder(self._folder)
+        self._held.enter_context(locked(self._folder))
+        self._manifest = _open_set(self._plan, self._folder)  # again: another process may have come first
+        _check_same_software(self._folder, self._manifest, versions)
+        remove_partial_files(self._folder)
+        write_manifest(self._folder, self._manifest)
+        self._is_prepared = True
 
     def _image_done(self) -> None:
         if self._stopping.is_set():
@@ -251,7 +269,7 @@ def make_shard(plan: SetPlan, entry: ShardEntry, renderer: Renderer, on_image: O
         tolerance_px=spec.marking.tolerance_px if spec.marking else np.nan,
         versions=software_versions(renderer),
     )
-    annotated = plan.annotate in ("all", entry.split)
+    annotated = plan.manifest().is_annotated(entry.split)
     writer = ShardWriter(header, entry.images, spec.symmetry_group, annotated=annotated)
     candidates = within_tolerance = 0
     try:
@@ -273,10 +291,4 @@ def make_shard(plan: SetPlan, entry: ShardEntry, renderer: Renderer, on_image: O
 
 def software_versions(renderer: Renderer) -> dict[str, str]:
     """Return the software that decides a shard's bytes: name to version."""
-    return {
-        "symsol-annot": __version__,
-        "numpy": np.__version__,
-        "h5py": h5py.__version__,
-        "hdf5": h5py.version.hdf5_version,
-        **renderer.versions,
-    }
+    return {"symsol-annot": __version__, **storage_versions(), **renderer.versions}

@@ -7,18 +7,34 @@ digest of itself. `fingerprint` names the finished set by its contents.
 import hashlib
 import json
 import math
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DataError, SettingsError
 from symsol_annot.files import write_atomically
+from symsol_annot.scene import Camera, RenderSettings
 
 MANIFEST_NAME = "manifest.json"
 MANIFEST_FORMAT = "symsol-annot set"
 MANIFEST_FORMAT_VERSION = 1
 SPLITS = ("train", "test")
+_RECIPE_TYPES: dict[str, Any] = {
+    "object": str,
+    "object_sha256": str,
+    "seed": int,
+    "camera": dict,
+    "render": dict,
+    "tolerance_px": float | None,
+    "annotate": str,
+}
+_ENTRY_TYPES: dict[str, Any] = {
+    "first_index": int,
+    "images": int,
+    "bytes": int | None,
+    "sha256": str | None,
+    "content_sha256": str | None,
+}
 
 
 @dataclass(frozen=True)
@@ -68,7 +84,7 @@ class Manifest:
 
     @property
     def fingerprint(self) -> str | None:
-        """The SHA-256 over recipe and contents of a finished set; None before."""
+        """The SHA-256 over object, seed, camera and contents of a finished set; None before."""
         return self._digest(self.shards) if self.is_finished else None
 
     def split_fingerprint(self, split: str) -> str | None:
@@ -156,7 +172,7 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         manifest = _from_document(document)
         is_whole = _serialise(manifest) == data
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, AttributeError, SettingsError):
         is_whole = False
     if not is_whole:
         raise DataError(
@@ -210,10 +226,32 @@ def _from_document(document: dict[str, Any]) -> Manifest:
         for split in SPLITS
         for shard in document["splits"].get(split, {}).get("shards", [])
     )
-    for shard in shards:
-        if not re.fullmatch(rf"{shard.split}-\d{{5,}}-of-\d{{5,}}\.h5", shard.file):
-            raise ValueError(f"{shard.file!r} is no name of a shard")
-    return Manifest(recipe, shards)
+    manifest = Manifest(recipe, shards)
+    _check_types(manifest)
+    return manifest
+
+
+def _check_types(manifest: Manifest) -> None:
+    """Raise a ValueError or TypeError where a field is missing or not of its type, or shards do not follow on."""
+    recipe = manifest.recipe
+    Camera(**recipe["camera"])
+    RenderSettings.from_dict(recipe["render"])
+    fields = [(recipe[name], types) for name, types in _RECIPE_TYPES.items()]
+    fields += [(recipe["camera"][name], int) for name in ("width", "height")]
+    fields += [(recipe["camera"][name], float) for name in ("distance", "focal_px")]
+    for split in SPLITS:
+        following = 0
+        for number, shard in enumerate(manifest.of_split(split)):
+            name = f"{split}-{number:05d}-of-{len(manifest.of_split(split)):05d}.h5"
+            if shard.file != name or shard.first_index != following or shard.images < 1:
+                raise ValueError(f"{shard.file!r} does not follow on the shard before it")
+            following += shard.images
+            fields += [(getattr(shard, name), types) for name, types in _ENTRY_TYPES.items()]
+    if set(recipe) != set(_RECIPE_TYPES):
+        raise ValueError("unknown fields")
+    for value, types in fields:
+        if not isinstance(value, types) or isinstance(value, bool):
+            raise TypeError(f"{value!r} is not of the type {types}")
 
 
 def _hint(folder: Path) -> str:

@@ -19,7 +19,7 @@ BOUNDING_RADIUS_TOLERANCE = 1e-6
 _IGNORED = {"o", "g", "s", "mtllib", "vt", "l", "p"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """A closed triangle mesh in model coordinates; the bounding sphere has radius 1 around the origin.
 

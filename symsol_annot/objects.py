@@ -22,7 +22,7 @@ from symsol_annot.errors import ObjectError, RotationError, UnknownObjectError
 from symsol_annot.mesh import Mesh, read_mesh
 
 OBJECT_FORMAT_VERSION = 1
-_MAX_ORDER = 3600
+MAX_GROUP_ORDER = 3600
 
 
 @dataclass(frozen=True)
@@ -170,8 +170,8 @@ def _read_group(toml: "_Toml", field: str) -> so3.Rotations:
         kinds = ", ".join(["cyclic", "dihedral", *finite])
         raise toml.fault(f"{field}.kind", f"expected one of {kinds}, found {kind!r}")
     order = toml.take(f"{field}.order", int)
-    if not 1 <= order <= _MAX_ORDER:
-        raise toml.fault(f"{field}.order", f"expected 1 to {_MAX_ORDER}, found {order}")
+    if not 1 <= order <= MAX_GROUP_ORDER:
+        raise toml.fault(f"{field}.order", f"expected 1 to {MAX_GROUP_ORDER}, found {order}")
     if kind == "dihedral":
         return so3.dihedral_group(order)
     axis = toml.take(f"{field}.axis", list) if toml.has(f"{field}.axis") else list(so3.Z_AXIS)

@@ -1,5 +1,6 @@
 """Pictures of images, segmentations and symmetry sets (figures 2.1 and 5.3)."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from symsol_annot.dataset import Sample
 from symsol_annot.errors import SymsolError
-from symsol_annot.files import output_errors
+from symsol_annot.files import write_atomically
 from symsol_annot.so3 import Rotations
 
 ID_COLOURS = np.array([[0, 0, 0], [140, 30, 30], [240, 128, 128]], dtype=np.uint8)  # as in figure 5.2
@@ -39,8 +40,9 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4) -> No
             ball = figure.add_subplot(*places[2], projection="3d")
             draw_pi_ball(ball, sample.symmetry_set, sample.rotation)
             ball.set_title(f"|S| = {len(sample.symmetry_set)}", fontsize=8, pad=0)
-    with output_errors(path):
-        figure.savefig(path, format="png", dpi=100)
+    png = io.BytesIO()
+    figure.savefig(png, format="png", dpi=100)
+    write_atomically(path, png.getvalue())
 
 
 def draw_pi_ball(axes: Any, rotations: Rotations, R_gt: Rotations | None = None) -> None:

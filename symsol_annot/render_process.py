@@ -35,6 +35,7 @@ _QUOTED_LINES = 12
 _FRAME_CHATTER = ("Saved:", "Time:", "Fra:")
 _NO_OPENGL = ("No OpenGL vendor detected", "Couldn't find current GLX or EGL context", "libEGL")
 _WATCH_SECONDS = 0.2
+_DECIDES_PIXELS = ("OCIO", "BLENDER_", "LP_", "CYCLES_")  # variables that would change the pictures, unrecorded
 
 
 class RenderProcess:
@@ -49,32 +50,36 @@ class RenderProcess:
 
     def __init__(self, spec: ObjectSpec, camera: Camera, settings: RenderSettings) -> None:
         check_blender_installed()
+        self._scene = (os.getpid(), spec.mesh, camera, settings)
+        self._versions: dict[str, str] | None = None  # until it has started
         self._talking = threading.Lock()
-        self._engine = settings.engine
         self._log = tempfile.TemporaryFile(mode="a+b")  # noqa: SIM115 - lives as long as the process
         self._scratch = tempfile.mkdtemp(prefix="symsol-annot-")  # Blender's, which removes it once it has started
         ours, theirs = socket.socketpair()
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "symsol_annot.render_process", str(theirs.fileno())],
-            stdin=subprocess.DEVNULL,
-            stdout=self._log,
-            stderr=self._log,
-            pass_fds=[theirs.fileno()],
-            env=_environment(self._scratch),
-            start_new_session=True,  # Ctrl-C is the parent's to handle
-        )
-        theirs.close()
-        self._connection = Connection(ours.detach())
         try:
-            self._versions: dict[str, str] = self._ask(os.getpid(), spec.mesh, camera, settings)
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "symsol_annot.render_process", str(theirs.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=self._log,
+                stderr=self._log,
+                pass_fds=[theirs.fileno()],
+                env=_environment(self._scratch),
+                start_new_session=True,  # Ctrl-C is the parent's to handle
+            )
         except BaseException:
-            self.close()
+            shutil.rmtree(self._scratch, ignore_errors=True)
+            ours.close()
+            self._log.close()
             raise
+        finally:
+            theirs.close()
+        self._connection = Connection(ours.detach())
 
     @property
     def versions(self) -> dict[str, str]:
         """The software that decides the pixels: name to version."""
-        return dict(self._versions)
+        with self._talking:
+            return dict(self._started())
 
     @property
     def pid(self) -> int:
@@ -112,11 +117,21 @@ class RenderProcess:
 
     def _ask(self, *request: Any) -> Any:
         with self._talking:
-            try:
-                self._connection.send(request)
-                answer = self._connection.recv()
-            except (EOFError, OSError):
-                raise self._crash() from None
+            self._started()
+            return self._exchange(request)
+
+    def _started(self) -> dict[str, str]:
+        """Hand over the scene at first use, so that the process starts while others do, and can be closed meanwhile."""
+        if self._versions is None:
+            self._versions = self._exchange(self._scene)
+        return self._versions
+
+    def _exchange(self, request: Any) -> Any:
+        try:
+            self._connection.send(request)
+            answer = self._connection.recv()
+        except (EOFError, OSError):
+            raise self._crash() from None
         if isinstance(answer, RenderError):
             raise answer
         return answer
@@ -132,7 +147,7 @@ class RenderProcess:
         said = "\n".join(f"  | {line}" for line in telling[-_QUOTED_LINES:]) or "  | (nothing)"
         if any(word in line for line in telling for word in _NO_OPENGL):
             return RendererMissingError(
-                f"the engine {self._engine!r} draws with OpenGL through EGL, and Blender found none:\n{said}\n"
+                f"the engine {self._scene[3].engine!r} draws with OpenGL through EGL, and Blender found none:\n{said}\n"
                 "`symsol-annot doctor` says what to install; `--engine cycles` needs no OpenGL."
             )
         return RendererCrashedError(
@@ -144,8 +159,9 @@ class RenderProcess:
 
 def _environment(scratch: str) -> dict[str, str]:
     """Return Blender's environment: one rasteriser thread, this Python's packages, nothing in the user's home."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(_DECIDES_PIXELS)}
     return {
-        **os.environ,
+        **kept,
         "LP_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
         "TMPDIR": scratch,
@@ -164,8 +180,8 @@ def check_blender_installed() -> None:
         raise RendererMissingError(
             "rendering needs Python 3.11: Blender's module bpy (4.5 LTS) is built for that version alone, and this "
             f"is Python {sys.version_info[0]}.{sys.version_info[1]}. Make an environment with it: "
-            "`python3.11 -m venv env && env/bin/pip install 'symsol-annot[render]'`. "
-            "Loading, verifying and scoring work here as they are."
+            "in a clone of this project, `python3.11 -m venv env && env/bin/pip install '.[render]'`. "
+            "Loading and verifying work here as they are."
         )
     if util.find_spec("bpy") is None:
         raise RendererMissingError(
@@ -216,6 +232,7 @@ def _die_with(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(_WATCH_SECONDS)
+        shutil.rmtree(os.environ["TMPDIR"], ignore_errors=True)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

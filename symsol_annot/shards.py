@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DataError
+from symsol_annot.objects import MAX_GROUP_ORDER
 from symsol_annot.scene import View
 from symsol_annot.so3 import Rotations
 
@@ -42,6 +43,7 @@ _ATTRIBUTES: dict[str, tuple[type, ...]] = {
     "candidates_drawn": _WHOLE,
     "candidates_within_tolerance": _WHOLE,
 }
+_MAX_SIDE = 2 * MAX_GROUP_ORDER  # so that a small file cannot ask for all memory
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
 _ALLOWED_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_SHUFFLE}
 
@@ -169,6 +171,24 @@ class ShardWriter:
         )
 
 
+def read_versions(path: Path) -> dict[str, str]:
+    """Return the software that a shard was made with: name to version.
+
+    Raises:
+        DataError: the shard cannot be read.
+    """
+    with open_shard(path) as shard:
+        try:
+            return dict(json.loads(shard.attrs["versions"]))
+        except (TypeError, ValueError) as error:
+            raise DataError(f"{path}: attribute 'versions' is no JSON object: {error}") from None
+
+
+def storage_versions() -> dict[str, str]:
+    """Return the libraries that decide a shard's bytes: name to version."""
+    return {"numpy": np.__version__, "h5py": h5py.__version__, "hdf5": h5py.version.hdf5_version}
+
+
 def content_sha256(file: h5py.File) -> str:
     """Return the digest of a shard's arrays, one that another HDF5 library or compression does not change."""
     digest = hashlib.sha256()
@@ -198,9 +218,9 @@ def open_shard(path: Path) -> Iterator[h5py.File]:
 def open_shard_file(path: Path) -> h5py.File:
     """Do as `open_shard`; the caller closes the file."""
     try:
+        if not path.is_file() or path.is_symlink():
+            raise DataError(f"{path}: {'is no regular file' if path.exists() else 'no such shard'}")
         file = h5py.File(path, "r")
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such shard") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read as HDF5: {error}") from None
     faults = _structure_faults(file)
@@ -288,15 +308,15 @@ def _rows_of(file: h5py.File, name: str) -> int:
 
 
 def _dataset_faults(file: h5py.File, name: str, shape: tuple[int, ...], dtype: str) -> list[str]:
-    if name not in file:
-        return [f"data set {name!r} is missing"]
-    dataset = file[name]
+    dataset = file.get(name)
     if not isinstance(dataset, h5py.Dataset):
-        return [f"{name!r} is no data set"]
+        return [f"{name!r} is no data set" if name in file else f"data set {name!r} is missing"]
     try:
         _ = dataset.dtype
     except TypeError as error:
         return [f"{name!r} has a type that is not part of the format: {error}"]
+    if max(shape) > _MAX_SIDE:
+        return [f"{name!r}: its shape {dataset.shape} is beyond the format's limits"]
     if dataset.shape != shape or dataset.dtype.str != dtype or 0 in shape:
         return [f"{name!r}: expected {dtype} of shape {shape}, found {dataset.dtype.str} of shape {dataset.shape}"]
     plist = dataset.id.get_create_plist()

@@ -1,6 +1,5 @@
 """Checking a set on disk: that it is whole, and that what it says holds together. It reads and never writes."""
 
-import hashlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeAlias
@@ -10,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DataError
+from symsol_annot.files import file_sha256
 from symsol_annot.manifest import Manifest, ShardEntry, read_manifest
 from symsol_annot.scene import MARKING
 from symsol_annot.shards import HDF5_ERRORS, content_sha256, header_mismatches, open_shard
@@ -35,9 +35,9 @@ def verify(folder: Path, on_shard: Callable[[], object] = lambda: None) -> list[
     """
     manifest = read_manifest(folder)
     faults = _folder_faults(folder, manifest)
-    group = _SharedGroup()
+    first = _FirstShard()
     for entry in manifest.shards:
-        faults += [f"{entry.file}: {fault}" for fault in _shard_faults(folder, manifest, entry, group)]
+        faults += [f"{entry.file}: {fault}" for fault in _shard_faults(folder, manifest, entry, first)]
         on_shard()
     return faults
 
@@ -54,13 +54,12 @@ def _folder_faults(folder: Path, manifest: Manifest) -> list[str]:
     return faults
 
 
-def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, group: "_SharedGroup") -> list[str]:
+def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, first: "_FirstShard") -> list[str]:
     if not entry.is_finished:
         return []
     path = folder / entry.file
     try:
-        with path.open("rb") as file:
-            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+        sha256 = file_sha256(path)
     except OSError as error:
         return [f"is missing or cannot be read: {error.strerror}"]
     if path.stat().st_size != entry.bytes:
@@ -70,7 +69,7 @@ def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, group: "_
     faults: list[str] = []
     try:
         with open_shard(path) as shard:
-            for found in (_header_faults(manifest, entry, shard), _content_faults(shard), group.faults_of(shard)):
+            for found in (_header_faults(manifest, entry, shard), _content_faults(shard), first.faults_of(shard)):
                 faults += found
     except DataError as error:
         faults.append(str(error))
@@ -120,18 +119,21 @@ def _group_faults(group: Rotations) -> Iterator[str]:
         yield "symmetry_group: element 0 is not the identity"
 
 
-class _SharedGroup:
-    """The symmetry group of the first shard that was read; all others must have the same."""
+class _FirstShard:
+    """What the first shard that was read holds and all others must hold too."""
 
     def __init__(self) -> None:
         self._group: Rotations | None = None
+        self._versions = ""
 
     def faults_of(self, shard: h5py.File) -> Iterator[str]:
-        group = shard["symmetry_group"][...]
+        group, versions = shard["symmetry_group"][...], str(shard.attrs["versions"])
         if self._group is None:
-            self._group = group
-        elif not np.array_equal(self._group, group):
+            self._group, self._versions = group, versions
+        if not np.array_equal(self._group, group):
             yield "symmetry_group: is not that of the set's first shard"
+        if versions != self._versions:
+            yield f"versions: made with other software than the set's first shard: {versions}"
 
 
 def _mask_faults(shard: h5py.File, images: Callable[[Flags], str]) -> Iterator[str]:

@@ -74,11 +74,13 @@ def sizes_in_words(sizes):
 
 def laws_of(name, dataset):
     """List the samples that break a law of their object."""
-    broken, frayed = [], Counter()
+    broken, frayed, barely, at_no_centre = [], Counter(), 0, 0
     for sample in dataset:
         trace = bool((sample.image[..., 0] > sample.image[..., 2]).any())
         if trace and sample.marking_pixels == 0:
             broken.append(f"image {sample.index}: a trace of colour in a view that hides the marking")
+        barely += sample.marking_visible and sample.marking_pixels < 20
+        at_no_centre += sample.marking_visible and not (sample.segmentation == 2).any()
         size = len(sample.symmetry_set)
         if name == "tetX" and size not in (3, 6, 9):
             broken.append(f"image {sample.index}: |S| = {size}")
@@ -91,6 +93,7 @@ def laws_of(name, dataset):
                     frayed[fray > 0] += 1
                     if fray > MAX_FRAY_DEG:
                         broken.append(f"image {sample.index}: hidden candidates {fray} degrees from the arc")
+    print(f"  shown with less than 20 pixels: {barely}; shown, but at no pixel centre: {at_no_centre}")
     if frayed:
         print(f"  circles with a frayed end: {frayed[True]} of {frayed.total()}")
     return broken

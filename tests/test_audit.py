@@ -8,6 +8,7 @@ from conftest import SIZE, make_set
 from numpy_renderer import NumpyRenderer
 
 from symsol_annot import Sample, load
+from symsol_annot.annotate import annotate
 from symsol_annot.audit import audit
 from symsol_annot.errors import NotAnnotatedError
 from symsol_annot.objects import load_object
@@ -89,6 +90,23 @@ def test_an_unmarked_body_is_audited_by_its_looks(tmp_path):
     report = audit(dataset, load_object("tet"), NumpyRenderer("tet", SIZE), 4, np.random.default_rng(0))
     assert (report.faults, report.rejected) == ([], 0)
     assert report.members == 4 * 12
+
+
+@pytest.mark.blender
+def test_an_arc_that_ends_too_early_is_found():
+    """Members a degree or more from a hidden disc's arc end are no near neighbours but missing."""
+    spec = load_object("cylO")
+    with RenderProcess(spec, Camera.filling(64), RenderSettings()) as renderer:
+        R = next(R for R in uniform_rotations(9, np.random.default_rng(1)) if renderer.marking_pixels(R[None])[0] == 0)
+        mask, view = annotate(spec, R, 0.0, renderer).mask, renderer.render(R)
+        eroded = mask & np.roll(mask, 8) & np.roll(mask, -8)
+        eroded[0] = True
+        samples = [
+            Sample(0, view.rgb, view.segmentation, R, 0.0, False, m, spec.symmetry_group) for m in (mask, eroded)
+        ]
+        reports = [audit(ListedDataset([s]), spec, renderer, 1, np.random.default_rng(0)) for s in samples]
+    assert reports[0].faults == []
+    assert any("rejected, but draws the same marking" in fault for fault in reports[1].faults)
 
 
 @pytest.mark.blender

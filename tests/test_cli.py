@@ -201,7 +201,7 @@ def test_an_object_of_ones_own_is_rendered_and_audited_by_its_path(mug, tmp_path
     assert "0 faults" in audited.stdout
     without_object = symsol("verify", tmp_path / "data", "--audit", "1")
     assert without_object.returncode == 1
-    assert "path of its folder" in without_object.stderr
+    assert "give its folder with --object" in without_object.stderr
     edit(mug / "object.toml", "tolerance_px = 5", "tolerance_px = 6")
     another = symsol("verify", tmp_path / "data", "--audit", "1", "--object", mug)
     assert another.returncode == 1
@@ -580,7 +580,7 @@ def test_without_opengl_the_doctor_fails_workbench_and_passes_cycles(tmp_path):
 def test_without_bpy_render_says_what_to_install(tmp_path):
     done = run(*WITHOUT_BPY, "render", *TINY_SET, "--out", tmp_path / "data")
     assert done.returncode == 1
-    assert "pip install 'symsol-annot[render]'" in done.stderr
+    assert "pip install '.[render]'" in done.stderr
     assert not (tmp_path / "data").exists()
 
 
@@ -630,7 +630,7 @@ ALONE = {"PYTHONPATH": "", "PYTHONDONTWRITEBYTECODE": ""}
 def test_another_python_cannot_render_and_is_told_why_and_what_to_do(plain_install, tmp_path):
     done = run(plain_install / "symsol-annot", "render", *TINY_SET, "--out", tmp_path / "data", env=ALONE)
     assert done.returncode == 1
-    for said in ("needs Python 3.11", "this is Python 3.1", "python3.11 -m venv", "pip install 'symsol-annot[render]'"):
+    for said in ("needs Python 3.11", "this is Python 3.1", "python3.11 -m venv", "pip install '.[render]'"):
         assert said in done.stderr
     assert not (tmp_path / "data").exists()
 

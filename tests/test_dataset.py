@@ -320,7 +320,7 @@ def test_files_that_are_open_at_a_fork_are_opened_anew_by_the_child(tetX_set, op
     assert indices(dataset) == list(range(TEST_IMAGES))
     context = multiprocessing.get_context("fork")  # what it hands over is not pickled, but the parent's very object
     queues = [context.SimpleQueue() for _ in range(3)]
-    children = [context.Process(target=put_every_third, args=(dataset, opened, queue)) for queue in queues]
+    children = [context.Process(target=put_every_third, args=(dataset, opened, queue), daemon=True) for queue in queues]
     for child in children:
         child.start()
     for queue in queues:

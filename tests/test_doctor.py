@@ -68,7 +68,7 @@ def test_a_machine_that_lacks_nothing_gets_no_remedy(tmp_path):
 def test_the_install_command_is_one_line_with_sudo_for_who_is_not_root(monkeypatch, user, sudo):
     monkeypatch.setattr(os, "geteuid", lambda: user)
     assert doctor.install_command(["libegl1", "libsm6"]) == (
-        f"{sudo}apt-get update && {sudo}apt-get install -y --no-install-recommends libegl1 libsm6"
+        f"{sudo}apt-get update && {sudo}apt-get install -y --no-install-recommends libegl1 libsm6 libgl1-mesa-dri"
     )
 
 
@@ -107,10 +107,10 @@ def test_another_python_is_told_how_to_get_the_one_that_renders(monkeypatch, tmp
     found = finding("Python", tmp_path)
     assert (found.is_good, found.found) == (False, "3.12.1")
     assert "python3.11 -m venv" in found.remedy
-    assert "symsol-annot[render]" in found.remedy
+    assert ".[render]" in found.remedy
 
 
-def test_a_full_disk_is_found_for_a_folder_that_does_not_exist_yet(monkeypatch, tmp_path):
+def test_a_nearly_full_disk_is_a_warning_for_a_folder_that_does_not_exist_yet(monkeypatch, tmp_path):
     looked_at = []
 
     def usage(path):
@@ -119,7 +119,7 @@ def test_a_full_disk_is_found_for_a_folder_that_does_not_exist_yet(monkeypatch, 
 
     monkeypatch.setattr(shutil, "disk_usage", usage)
     found = finding("disk space", tmp_path / "not" / "there")
-    assert not found.is_good
+    assert found.is_good  # it may be enough for a small set
     assert found.found == f"1.0 GiB free for {tmp_path}"
     assert "--out" in found.remedy
     assert looked_at == [tmp_path]
@@ -160,7 +160,7 @@ def test_root_installs_what_is_missing_and_looks_again(monkeypatch):
     monkeypatch.setattr(subprocess, "run", install)
     lack(monkeypatch, "libSM.so.6")
     assert doctor.install_missing_packages() == []
-    assert ran == ["apt-get update && apt-get install -y --no-install-recommends libsm6"]
+    assert ran == ["apt-get update && apt-get install -y --no-install-recommends libsm6 libgl1-mesa-dri"]
 
 
 def test_without_rights_nothing_is_installed_and_what_is_missing_is_returned(monkeypatch):

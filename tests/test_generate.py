@@ -13,13 +13,14 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import h5py
 import numpy as np
 import numpy_renderer
 import oracle
 import pytest
-from conftest import make_plan
+from conftest import make_plan, make_set
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy_renderer import NumpyRenderer
@@ -28,9 +29,11 @@ from scipy.stats import kstest
 from symsol_annot import files
 from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, DifferentSetError, OutputError, RenderError, SettingsError
+from symsol_annot.files import locked
 from symsol_annot.generate import generate, label_rotation
-from symsol_annot.manifest import read_manifest
+from symsol_annot.manifest import read_manifest, write_manifest
 from symsol_annot.scene import Camera, RenderSettings
+from symsol_annot.verify import verify
 
 SIZE, IMAGES, PER_SHARD = 16, 64, 16
 NOBODY = 65534
@@ -467,7 +470,8 @@ def test_damaged_finished_shards_are_refused_by_name_and_not_touched(half, damag
         ({"images": {"test": 1, "validation": 1}}, "splits: expected train, test, found .*validation"),
         ({"annotate": "train"}, "annotate: expected one of test, all, none, found 'train'"),
         ({"annotate": ""}, "annotate: .*''"),
-        ({"seed": -1}, "seed: expected 0 or more, found -1"),
+        ({"seed": -1}, "seed: expected 0 to 9223372036854775807, found -1"),
+        ({"seed": 2**63}, "found 9223372036854775808"),
     ],
 )
 def test_settings_that_make_no_set_are_refused(change, words):
@@ -651,3 +655,28 @@ def test_shards_cover_every_image_of_a_split_once(train, test, size):
         assert [entry.first_index for entry in entries] == [0, *ends][:-1]
         assert ends[-1:] == ([images] if images else [])
         assert all(0 < entry.images <= 500 for entry in entries)
+
+
+def test_folder_that_another_process_works_in_is_left_alone(tmp_path):
+    folder = tmp_path / "tetX"
+    folder.mkdir()
+    with locked(folder), pytest.raises(OutputError, match="another process is making this set right now"):
+        make_set(tmp_path, test=4)
+    assert not list(folder.iterdir())
+    assert verify(make_set(tmp_path, test=4)) == []
+
+
+def test_set_begun_with_other_software_is_not_finished_with_this(tmp_path):
+    folder = make_set(tmp_path, test=40)
+    manifest = read_manifest(folder)
+    last = manifest.shards[-1]
+    (folder / last.file).unlink()
+    write_manifest(folder, manifest.with_finished(replace(last, bytes=None, sha256=None, content_sha256=None)))
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    class OtherRenderer(NumpyRenderer):
+        versions = MappingProxyType({"renderer": "another"})
+
+    with pytest.raises(DifferentSetError, match="renderer: there numpy, here another"):
+        generate(make_plan(test=40), folder, lambda: OtherRenderer("tetX"))
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

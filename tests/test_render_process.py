@@ -223,8 +223,11 @@ def test_last_words_are_text_however_long_blender_worked():
 def test_without_opengl_the_error_says_so_and_no_descriptor_is_left(monkeypatch):
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_DIRS", "/nonexistent")
     before = descriptors()
-    with pytest.raises(RendererMissingError, match=r"(?s)OpenGL through EGL.*doctor.*--engine cycles"):
-        open_renderer()
+    with (
+        pytest.raises(RendererMissingError, match=r"(?s)OpenGL through EGL.*doctor.*--engine cycles"),
+        open_renderer() as renderer,
+    ):
+        _ = renderer.versions
     assert descriptors() == before
 
 
@@ -237,8 +240,11 @@ def test_without_bpy_the_error_says_what_to_install(monkeypatch):
 def test_a_bpy_that_lacks_a_library_is_an_error_that_names_the_library(tmp_path, monkeypatch):
     (tmp_path / "bpy.py").write_text("raise ImportError('libXrender.so.1: cannot open shared object file')")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(RendererMissingError, match=r"libXrender\.so\.1.*doctor"):
-        open_renderer()
+    with (
+        pytest.raises(RendererMissingError, match=r"libXrender\.so\.1.*doctor"),
+        open_renderer() as renderer,
+    ):
+        _ = renderer.versions
 
 
 def test_another_python_is_told_which_one_renders_and_how_to_get_it(monkeypatch):
@@ -246,3 +252,22 @@ def test_another_python_is_told_which_one_renders_and_how_to_get_it(monkeypatch)
     monkeypatch.setattr(sys, "version_info", (3, 12, 1))
     with pytest.raises(RendererMissingError, match=r"needs Python 3\.11.*this is Python 3\.12.*python3\.11 -m venv"):
         check_blender_installed()
+
+
+def test_pictures_do_not_depend_on_the_environment(monkeypatch, tmp_path):
+    R = rotations(1)[0]
+    with open_renderer() as renderer:
+        expected = renderer.render(R).rgb
+    monkeypatch.setenv("OCIO", str(tmp_path / "another-config.ocio"))
+    monkeypatch.setenv("LP_NATIVE_VECTOR_WIDTH", "128")
+    monkeypatch.setenv("BLENDER_SYSTEM_RESOURCES", str(tmp_path))
+    with open_renderer() as renderer:
+        assert np.array_equal(renderer.render(R).rgb, expected)
+
+
+def test_a_renderer_that_is_still_starting_can_be_closed_at_once():
+    before = time.monotonic()
+    renderer = open_renderer()
+    renderer.close()
+    assert time.monotonic() - before < 1.0
+    assert not is_running(renderer.pid)

@@ -275,6 +275,19 @@ def no_rows(file, whole):
         file.create_dataset(name, (0, *shape[1:]), dtype)
 
 
+def more_rows_than_memory(file, whole):
+    for name in set(file) - {"symmetry_group"}:
+        dtype, shape = file[name].dtype, file[name].shape
+        del file[name]
+        file.create_dataset(name, (10**12, *shape[1:]), dtype, chunks=(1, *shape[1:]))
+
+
+def group_larger_than_memory(file, whole):
+    for name in ("symmetry_group", "symmetry_mask"):
+        del file[name]
+    file.create_dataset("symmetry_group", (40_000_000, 3, 3), "f8", chunks=(4096, 3, 3), compression="gzip")
+
+
 def without(name):
     def tamper(file, whole):
         del file[name]
@@ -291,6 +304,8 @@ STRANGERS = {
     "extra data set": (extra_data_set, ["'thumbnail' is not part of the format"]),
     "group": (group_in_place_of_a_data_set, ["'rotation' is no data set"]),
     "named type": (type_in_place_of_a_data_set, ["'rotation' is no data set"]),
+    "more rows than memory": (more_rows_than_memory, ["'rotation'", "1000000000000"]),
+    "group larger than memory": (group_larger_than_memory, ["'symmetry_group'", "beyond the format's limits"]),
     "no rows": (no_rows, ["'rotation'", "(0, 3, 3)"]),
     "float32 labels": (replaced("rotation", dtype="f4"), ["'rotation'", "<f8", "<f4"]),
     "big-endian labels": (replaced("rotation", dtype=">f8"), ["'rotation'", ">f8"]),
@@ -422,7 +437,7 @@ def test_file_that_is_no_hdf5_is_refused(tmp_path, data):
 
 
 def test_folder_and_missing_file_are_refused(tmp_path):
-    with pytest.raises(DataError, match="cannot be read as HDF5"), open_shard(tmp_path):
+    with pytest.raises(DataError, match="is no regular file"), open_shard(tmp_path):
         pass
     with pytest.raises(DataError, match=r"absent\.h5: no such shard"), open_shard(tmp_path / "absent.h5"):
         pass

@@ -1,6 +1,7 @@
 """Checking a set: every fault that can be put into one is found and named, and a good set has none."""
 
 import hashlib
+import os
 import random
 import shutil
 from contextlib import contextmanager
@@ -134,7 +135,7 @@ def test_missing_shard_is_found(tetX_set):
 def test_folder_in_place_of_a_shard_is_found(tetX_set):
     (tetX_set / SECOND).unlink()
     (tetX_set / SECOND).mkdir()
-    assert verify(tetX_set) == [f"{SECOND}: is missing or cannot be read: Is a directory"]
+    assert verify(tetX_set) == [f"{SECOND}: is missing or cannot be read: is no regular file"]
 
 
 def test_extra_shard_is_found(tetX_set):
@@ -322,8 +323,8 @@ def test_header_that_disagrees_with_the_manifest_is_found(tetX_set, name):
 
 
 def test_number_of_images_that_disagrees_with_the_manifest_is_found(tetX_set):
-    reseal(tetX_set, **{SECOND: {"images": 15}})
-    assert verify(tetX_set) == [f"{SECOND}: the manifest says 15 images, the shard holds 16"]
+    reseal(tetX_set, **{SHARDS[2]: {"images": 7}})
+    assert verify(tetX_set) == [f"{SHARDS[2]}: the manifest says 7 images, the shard holds 8"]
 
 
 @pytest.mark.parametrize("file", [SHARDS[0], SHARDS[3]])
@@ -407,3 +408,20 @@ def test_all_faults_of_a_set_are_reported_not_the_first(tetX_set):
     ]
     for file, words in expected:
         assert [fault for fault in faults if fault.startswith(f"{file}: ") and words in fault], (file, words)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_shard_that_is_no_regular_file_is_named_and_not_waited_for(tetX_set, kind):
+    (tetX_set / SECOND).unlink()
+    if kind == "pipe":
+        os.mkfifo(tetX_set / SECOND)
+    else:
+        (tetX_set / SECOND).symlink_to("/dev/zero")
+    assert verify(tetX_set) == [f"{SECOND}: is missing or cannot be read: is no regular file"]
+
+
+def test_shards_made_with_different_software_are_found(tetX_set):
+    with tampered(tetX_set) as shard:
+        shard.attrs["versions"] = '{"renderer": "another"}'
+    (fault,) = verify(tetX_set)
+    assert fault.startswith(f"{SECOND}: versions: made with other software")
