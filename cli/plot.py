@@ -21,5 +21,6 @@ def plot(folder: Path, split: str, start: int, count: int, out: Path | None) -> 
     if start >= len(samples):
         raise click.UsageError(f"--start {start}: the split has {len(samples)} images, from 0")
     path = out or folder.parent / f"{folder.resolve().name}-{split}.png"
-    contact_sheet(samples[start : start + count], path)
+    has_marking = samples.manifest.recipe["tolerance_px"] is not None
+    contact_sheet(samples[start : start + count], path, has_marking=has_marking)
     click.echo(path)

@@ -43,7 +43,7 @@ def file_sha256(path: Path) -> str:
     Raises:
         OSError: it is missing, unreadable, or no regular file: a pipe or a device would never end.
     """
-    if path.exists() and (path.is_symlink() or not path.is_file()):
+    if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "is no regular file")
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

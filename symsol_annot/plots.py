@@ -20,8 +20,14 @@ _COLUMN_INCHES = 2.2
 _VIEW_DEG = {"elev": 18.0, "azim": -60.0}
 
 
-def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4) -> None:
+def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, has_marking: bool = True) -> None:
     """Write a PNG with each sample's image, its segmentation, and its symmetry set in the pi-ball.
+
+    Args:
+        samples: what to draw, row by row.
+        path: the PNG.
+        columns: how many samples a row.
+        has_marking: whether to say over a segmentation how much of the marking shows.
 
     Raises:
         OutputError: the file cannot be written.
@@ -35,7 +41,8 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4) -> No
         row, column = divmod(number, columns)
         places = [(rows, 3 * columns, 3 * columns * row + 3 * column + part + 1) for part in range(3)]
         _draw_picture(figure.add_subplot(*places[0]), sample.image, f"image {sample.index}")
-        _draw_picture(figure.add_subplot(*places[1]), ID_COLOURS[sample.segmentation], _marking_caption(sample))
+        caption = _marking_caption(sample) if has_marking else "segmentation"
+        _draw_picture(figure.add_subplot(*places[1]), ID_COLOURS[sample.segmentation], caption)
         if sample.symmetry_mask is not None:
             ball = figure.add_subplot(*places[2], projection="3d")
             draw_pi_ball(ball, sample.symmetry_set, sample.rotation)

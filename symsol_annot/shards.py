@@ -218,7 +218,7 @@ def open_shard(path: Path) -> Iterator[h5py.File]:
 def open_shard_file(path: Path) -> h5py.File:
     """Do as `open_shard`; the caller closes the file."""
     try:
-        if not path.is_file() or path.is_symlink():
+        if not path.is_file():
             raise DataError(f"{path}: {'is no regular file' if path.exists() else 'no such shard'}")
         file = h5py.File(path, "r")
     except OSError as error:

@@ -18,6 +18,7 @@ from symsol_annot import generate as generate_module
 from symsol_annot.dataset import Sample, load
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.manifest import read_manifest, write_manifest
+from symsol_annot.verify import verify
 
 TEST_IMAGES, TRAIN_IMAGES, PER_SHARD = 40, 5, 16
 ALL_TEST_SHARDS = [f"test-{number:05d}-of-00003.h5" for number in range(3)]
@@ -416,3 +417,14 @@ def test_shard_of_something_else_is_an_error_and_never_a_sample(tetX_set, tmp_pa
     shutil.copy(made[other](), path)
     with pytest.raises(DataError, match=r"test-00000-of-00003\.h5"):
         load(tetX_set)[0]
+
+
+def test_set_held_as_links_to_a_store_loads_and_verifies(tetX_set, tmp_path):
+    """As git-annex, DVC and the Hugging Face cache keep files."""
+    store = tmp_path / "store"
+    store.mkdir()
+    for path in list(tetX_set.iterdir()):
+        path.rename(store / path.name)
+        path.symlink_to(store / path.name)
+    assert verify(tetX_set) == []
+    assert load(tetX_set)[0].symmetry_set.shape[1:] == (3, 3)
