@@ -580,7 +580,7 @@ def test_without_opengl_the_doctor_fails_workbench_and_passes_cycles(tmp_path):
 def test_without_bpy_render_says_what_to_install(tmp_path):
     done = run(*WITHOUT_BPY, "render", *TINY_SET, "--out", tmp_path / "data")
     assert done.returncode == 1
-    assert "pip install '.[render]'" in done.stderr
+    assert "pip install 'symsol-annot[render]'" in done.stderr
     assert not (tmp_path / "data").exists()
 
 
