@@ -28,7 +28,7 @@ lint: $(INSTALLED)  ## the quick checks
 	$(BIN)/lint-imports
 	$(BIN)/python -m symsol_annot_assets.build --check --out blender_assets
 
-soak: $(INSTALLED)  ## long proofs on real renders: half an hour on two cores
+soak: $(INSTALLED)  ## long proofs on real renders
 	$(BIN)/python tests/soak.py
 
 format: $(INSTALLED)
