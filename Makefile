@@ -3,7 +3,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 
 # The editable install links the files it finds, so it is made again when a file is added or removed.
-SOURCES := $(sort $(wildcard symsol_annot/*.py cli/*.py blender_assets/*.py blender_assets/*/*))
+SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/*))
 INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
 .PHONY: demo test check lint format soak assets clean
@@ -44,7 +44,7 @@ clean:
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-		--editable '.[render,plot,dev]' --config-settings editable_mode=strict
+		--editable '.[render,plot,bench,dev]' --config-settings editable_mode=strict
 	$(BIN)/symsol-annot doctor --install
 	rm -f $(VENV)/installed-*
 	touch $@

@@ -7,11 +7,15 @@ import signal
 import sys
 
 import click
+from symsol_annot_cli.compare import compare
 from symsol_annot_cli.doctor import doctor
 from symsol_annot_cli.info import info
 from symsol_annot_cli.objects import objects
 from symsol_annot_cli.plot import plot
+from symsol_annot_cli.queries import queries
 from symsol_annot_cli.render import render
+from symsol_annot_cli.score import score
+from symsol_annot_cli.validate import validate
 from symsol_annot_cli.verify import verify
 
 from symsol_annot import SymsolError, __version__
@@ -25,7 +29,7 @@ def app() -> None:
     """Images of symmetric objects, each with the set of all rotations that could have produced it."""
 
 
-for command in (render, objects, doctor, info, verify, plot):
+for command in (render, objects, doctor, info, verify, plot, queries, validate, score, compare):
     app.add_command(command)
 
 

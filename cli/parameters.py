@@ -27,6 +27,16 @@ SET_FOLDER = click.argument("folder", metavar="DATA", type=click.Path(path_type=
 SPLIT = click.option("--split", type=click.Choice(["train", "test"]), default="test", show_default=True)
 
 
-def progress_bar(total: int, unit: str) -> "tqdm[None]":
+PREDICTIONS = click.argument("paths", metavar="PREDS.H5...", nargs=-1, required=True, type=click.Path(path_type=Path))
+DATA = click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    default=Path("data"),
+    show_default=True,
+    help="Holds the sets, or is one.",
+)
+
+
+def progress_bar(total: int | None, unit: str) -> "tqdm[None]":
     """Return a bar with rate and time left; quiet where standard error is no terminal."""
     return tqdm(total=total, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)

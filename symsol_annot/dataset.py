@@ -11,7 +11,8 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from types import TracebackType
+from typing import Any, Self, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +64,32 @@ class Sample:
         return self.rotation @ self.symmetry_group[self.symmetry_mask]
 
 
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """What is known of a split's N images, without the images.
+
+    Attributes:
+        rotation: (N, 3, 3) f8, R_m2c.
+        symmetry_mask: (N, G) bool over `symmetry_group`.
+        symmetry_group: (G, 3, 3) f8, the body's symmetries, identity first.
+        marking_pixels: (N,) f4, the marking's visible area in pixels; 0 without a marking.
+        marking_visible: (N,) bool, whether that is at least the object's tolerance.
+    """
+
+    rotation: Rotations
+    symmetry_mask: npt.NDArray[np.bool_]
+    symmetry_group: Rotations
+    marking_pixels: npt.NDArray[np.float32]
+    marking_visible: npt.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.rotation)
+
+    def symmetry_set(self, row: int) -> Rotations:
+        """Return all (k, 3, 3) rotations R_m2c that draw image `row`."""
+        return self.rotation[row] @ self.symmetry_group[self.symmetry_mask[row]]
+
+
 class Dataset(Sequence[Sample]):
     """A split of a set as a sequence of samples, read when asked for.
 
@@ -89,9 +116,36 @@ class Dataset(Sequence[Sample]):
         return self.manifest.is_annotated(self.split)
 
     @property
+    def has_marking(self) -> bool:
+        """Whether the object has a marking."""
+        return self.manifest.recipe["tolerance_px"] is not None
+
+    @property
+    def fingerprint(self) -> str:
+        """The SHA-256 that names the split by its contents, whether or not it was rendered with the other split."""
+        return str(self.manifest.split_fingerprint(self.split))
+
+    @property
     def symmetry_group(self) -> Rotations:
         """The (G, 3, 3) symmetries of the object's body, identity first."""
         return self._shard(0).symmetry_group
+
+    def labels(self) -> Labels:
+        """Read the labels of all images at once, without the images.
+
+        Raises:
+            NotAnnotatedError: the split was rendered without symmetry sets.
+            DataError: a shard is missing or damaged.
+        """
+        if not self.is_annotated:
+            raise NotAnnotatedError(
+                f"{self.folder}: the {self.split} split was rendered without symmetry sets; "
+                "`symsol-annot render --annotate all` gives every split its sets"
+            )
+        rows = list(self._rows)
+        columns = [self._shard(number).labels() for number in range(len(self._entries))]
+        rotation, mask, pixels, visible = (np.concatenate(column)[rows] for column in zip(*columns, strict=True))
+        return Labels(rotation, mask, self.symmetry_group, pixels, visible)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -125,6 +179,14 @@ class Dataset(Sequence[Sample]):
         """Close the files; the next access opens them again."""
         while self._open:
             self._open.popitem()[1].close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     def _shard(self, number: int) -> "_OpenShard":
         if self._owner != os.getpid():  # an HDF5 handle must not cross a fork: drop it without closing
@@ -177,6 +239,14 @@ class _OpenShard:
             raise DataError(
                 f"{self._file.filename}: row {row} cannot be read: {error}. `symsol-annot verify` checks the whole set"
             ) from None
+
+    def labels(self) -> tuple[npt.NDArray[Any], ...]:
+        """Return rotation, symmetry_mask, marking_pixels and whether the marking shows, of all rows."""
+        try:
+            rotation, mask, pixels = (self._file[name][...] for name in ("rotation", "symmetry_mask", "marking_pixels"))
+        except HDF5_ERRORS as error:
+            raise DataError(f"{self._file.filename}: labels cannot be read: {error}") from None
+        return rotation, mask, pixels, pixels >= self._tolerance_px
 
     def close(self) -> None:
         self._file.close()

@@ -8,6 +8,8 @@
     ├── DataError               a shard, a manifest or a folder of them is missing or damaged
     │   ├── DifferentSetError   the output folder already holds another set
     │   └── NotAnnotatedError   symmetry sets asked of a split that was rendered without
+    ├── PredictionsError        a predictions file is broken, or about another set
+    ├── ScoresError             a scores file is broken, or cannot be compared with another
     ├── OutputError             a file cannot be written: permission, disk full
     └── RenderError             Blender cannot start, or stopped
         ├── RendererMissingError    something that Blender needs is not installed
@@ -57,6 +59,21 @@ class DifferentSetError(DataError):
 
 class NotAnnotatedError(DataError):
     """Symmetry sets were asked of a split that was rendered without them."""
+
+
+class PredictionsError(SymsolError):
+    """A predictions file is broken, or about another set; `faults` lists all that was found."""
+
+    def __init__(self, path: str, faults: Sequence[str]) -> None:
+        count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+        super().__init__(
+            f"{path}: {count}; docs/submission.md says what belongs there:\n" + "\n".join(f"  - {f}" for f in faults)
+        )
+        self.faults = tuple(faults)
+
+
+class ScoresError(SymsolError):
+    """A scores file is broken, or cannot be compared with another."""
 
 
 class OutputError(SymsolError):

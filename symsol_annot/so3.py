@@ -75,15 +75,16 @@ def angle_between(R_a: Rotations, R_b: Rotations) -> Angles:
 
 
 def uniform_rotations(count: int, rng: np.random.Generator) -> Rotations:
-    """Draw rotations from the uniform (Haar) distribution on SO(3).
+    """Draw (count, 3, 3) rotations from the uniform (Haar) distribution on SO(3)."""
+    return unit_cube_to_rotation(rng.random((count, 3)))
+
+
+def unit_cube_to_rotation(u: npt.NDArray[np.float64]) -> Rotations:
+    """Return the (n, 3, 3) rotations of points (n, 3) of the unit cube; uniform points give uniform rotations.
 
     Shoemake, "Uniform random rotations", Graphics Gems III, 1992: three uniform numbers give a
     quaternion that is uniform on the 3-sphere.
-
-    Returns:
-        (count, 3, 3) rotations.
     """
-    u = rng.random((count, 3))
     inner, outer = np.sqrt(1.0 - u[:, 0]), np.sqrt(u[:, 0])
     alpha, beta = 2.0 * np.pi * u[:, 1], 2.0 * np.pi * u[:, 2]
     quat_wxyz = np.stack([outer * np.cos(beta), inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta)], -1)

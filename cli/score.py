@@ -1,0 +1,33 @@
+"""`symsol-annot score`: score predictions files."""
+
+from pathlib import Path
+
+import click
+from symsol_annot_cli.parameters import DATA, PREDICTIONS, progress_bar
+
+from symsol_annot.bench import report
+from symsol_annot.bench.scoring import score_file
+from symsol_annot.files import write_atomically
+
+
+@click.command()
+@PREDICTIONS
+@DATA
+@click.option("--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Write all figures here.")
+@click.option("--per-image", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write a CSV here.")
+def score(paths: tuple[Path, ...], data: Path, json_path: Path | None, csv_path: Path | None) -> None:
+    """Score predictions: recall, precision and F-measure, with intervals, by stratum.
+
+    Several files, one an object, give the benchmark's table.
+    """
+    scores = []
+    for path in paths:
+        with progress_bar(None, "image") as bar:
+            bar.set_description(path.name)
+            scores.append(score_file(path, data, bar.update))
+    document = report.to_document(scores, paths)
+    click.echo(report.tables(document))
+    if json_path:
+        write_atomically(json_path, report.to_json(document).encode())
+    if csv_path:
+        write_atomically(csv_path, report.per_image_csv(scores).encode())

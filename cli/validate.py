@@ -1,0 +1,28 @@
+"""`symsol-annot validate`: list all faults of predictions files."""
+
+import sys
+from pathlib import Path
+
+import click
+from symsol_annot_cli.parameters import DATA, PREDICTIONS
+
+from symsol_annot.bench.predictions import open_predictions
+from symsol_annot.errors import SymsolError
+
+
+@click.command()
+@PREDICTIONS
+@DATA
+def validate(paths: tuple[Path, ...], data: Path) -> None:
+    """List all faults of predictions files, with track, row and reason."""
+    is_good = True
+    for path in paths:
+        try:
+            with open_predictions(path, data) as predictions:
+                predictions.check()
+                tracks = ", ".join(track.name for track in predictions.tracks)
+                click.echo(f"{path}: valid; {predictions.truth.object}, {len(predictions.truth)} images: {tracks}")
+        except SymsolError as error:
+            click.echo(f"Error: {error}", err=True)
+            is_good = False
+    sys.exit(0 if is_good else 1)

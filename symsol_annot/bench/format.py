@@ -1,0 +1,42 @@
+"""The predictions file's names, types and limits; docs/submission.md is the contract."""
+
+from typing import Any
+
+PREDICTIONS_FORMAT = "symsol-annot predictions"
+PREDICTIONS_FORMAT_VERSION = 1
+
+FILE_ATTRIBUTES: dict[str, type] = {
+    "format": str,
+    "format_version": int,
+    "method": str,
+    "object": str,
+    "split": str,
+    "fingerprint": str,
+}
+GRID_ATTRIBUTES: dict[str, type] = {"grid_level": int, "grid_sha256": str}
+CLASSIFIER_ATTRIBUTES: dict[str, type] = {**GRID_ATTRIBUTES, "group_sha256": str, "floor": float}
+
+IMAGE_INDEX = "image_index"
+TRACKS = {
+    "hypotheses": ("hypotheses", "hypothesis_weights"),
+    "classifier": ("query_probability", "grid_offsets", "grid_indices", "grid_probabilities"),
+    "density": ("density_offsets", "density_indices", "density_log_probabilities"),
+}
+REALS, INTEGERS = ("<f4", "<f8"), ("<i4", "<i8", "<u4")
+
+MAX_HYPOTHESES = 10_000
+MAX_GRID_LEVEL = 5
+STANDARD_THRESHOLD = 0.8  # of a probability, T of eq. 7.4
+ROTATION_TOLERANCE = {"<f4": 1e-5, "<f8": 1e-6}  # of R^T R = I and of det R = 1
+FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}  # by HDF5's numbers: those that every build has
+MAX_CHUNK_BYTES = 2**28
+
+
+def track_of(dataset: str) -> str:
+    """Return the track that a data set belongs to, or "the file"."""
+    return next((track for track, names in TRACKS.items() if dataset in names), "the file")
+
+
+def is_level(level: Any) -> bool:
+    """Tell whether predictions can be on the grid of this level."""
+    return isinstance(level, int) and 0 <= level <= MAX_GRID_LEVEL

@@ -1,0 +1,103 @@
+"""A predictions file: opened, checked against the truth that it is about, and its tracks."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from symsol_annot.bench.faults import FaultLog
+from symsol_annot.bench.format import FILE_ATTRIBUTES, PREDICTIONS_FORMAT, TRACKS
+from symsol_annot.bench.sandbox import SandboxedFile
+from symsol_annot.bench.structure import Structure
+from symsol_annot.bench.tracks import (
+    ClassifierBlock,
+    ClassifierTrack,
+    DensityBlock,
+    DensityTrack,
+    HypothesesBlock,
+    HypothesesTrack,
+    Track,
+)
+from symsol_annot.bench.truth import Truth, read_truth
+from symsol_annot.errors import PredictionsError
+from symsol_annot.manifest import SPLITS
+
+_TRACKS: dict[str, type[HypothesesTrack | ClassifierTrack | DensityTrack]] = {
+    track.name: track for track in (HypothesesTrack, ClassifierTrack, DensityTrack)
+}
+
+
+class Predictions:
+    """A predictions file whose structure was checked; its contents are checked as its tracks are read.
+
+    Attributes:
+        method: what the method calls itself.
+        truth: of the object and split that it is about.
+        faults: found so far; complete once all tracks were gone through.
+        tracks: those that are there and can be read.
+    """
+
+    def __init__(self, file: SandboxedFile, truth: Truth) -> None:
+        self._path, self.truth, self.faults = file.path, truth, FaultLog()
+        structure = Structure(file, truth, self.faults)
+        structure.has_attributes(FILE_ATTRIBUTES, "the file")
+        self.method = str(file.attributes.get("method", ""))
+        self._image_index = structure.image_index
+        there = [name for name, datasets in TRACKS.items() if any(structure.has(dataset) for dataset in datasets)]
+        if not there:
+            first = ", ".join(datasets[0] for datasets in TRACKS.values())
+            self.faults.add("the file", f"has no track: none of the data sets {first}")
+        found = [_TRACKS[name](structure) for name in there]
+        self.tracks: tuple[Track, ...] = tuple(track for track in found if track.is_sound())
+
+    def check(self) -> None:
+        """Go through every track.
+
+        Raises:
+            PredictionsError: with all faults of the file.
+        """
+        for track in self.tracks:
+            for _ in self.blocks(track):
+                pass
+        self.raise_faults()
+
+    def blocks(self, track: Track) -> Iterator[HypothesesBlock | ClassifierBlock | DensityBlock]:
+        """Yield a track's images in blocks of bounded size, without those that have a fault."""
+        if self._image_index is not None:
+            yield from track.blocks(self._image_index)
+
+    def raise_faults(self) -> None:
+        """Raise the faults that were found so far, if there are any."""
+        if self.faults:
+            raise PredictionsError(str(self._path), self.faults.lines())
+
+
+@contextmanager
+def open_predictions(path: Path, data: Path) -> Iterator[Predictions]:
+    """Open a predictions file and the truth that it says it is about.
+
+    Args:
+        path: of the predictions.
+        data: a set's folder, or the folder of sets.
+
+    Raises:
+        PredictionsError: it is no predictions file.
+        DataError: the set that it is about is not there or damaged.
+    """
+    with SandboxedFile(path) as file:
+        yield Predictions(file, read_truth(data, *_subject(file)))
+
+
+def _subject(file: SandboxedFile) -> tuple[str, str]:
+    """Return the object and the split that a file says it is about."""
+    found = file.attributes
+    name, split = found.get("object"), found.get("split")
+    is_name = isinstance(name, str) and name.isprintable() and not set(name) & set("/\\") and name.strip(". ")
+    if found.get("format") != PREDICTIONS_FORMAT:
+        fault = f"attribute 'format': expected {PREDICTIONS_FORMAT!r}, found {found.get('format')!r}"
+    elif not is_name:
+        fault = f"attribute 'object': expected the name of an object, found {name!r}"
+    elif split not in SPLITS:
+        fault = f"attribute 'split': expected one of {', '.join(SPLITS)}, found {split!r}"
+    else:
+        return str(name), str(split)
+    raise PredictionsError(str(file.path), [f"the file: {fault}"])

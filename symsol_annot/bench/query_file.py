@@ -1,0 +1,58 @@
+"""The query file: what `queries.py` and `grid.py` compute, for those who write predictions in another language."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from symsol_annot.bench.queries import Queries, group_sha256
+from symsol_annot.dataset import Dataset
+from symsol_annot.files import output_errors
+from symsol_annot.grid import STANDARD_LEVEL, equivolumetric_grid, grid_sha256
+
+QUERIES_FORMAT = "symsol-annot queries"
+QUERIES_FORMAT_VERSION = 1
+
+
+def write_queries(
+    path: Path, dataset: Dataset, level: int = STANDARD_LEVEL, on_image: Callable[[], object] = lambda: None
+) -> None:
+    """Write the queries of every image and the grid, as float32, to an HDF5 file.
+
+    Data sets: `query_rotation` (N, Q, 3, 3), row i about image i, and `grid_rotation` (72 x 8^level, 3, 3). Attributes:
+    what a predictions file has to repeat.
+
+    Raises:
+        NotAnnotatedError: the split has no symmetry sets.
+        OutputError: the file cannot be written.
+    """
+    labels = dataset.labels()
+    queries = Queries(dataset.fingerprint, labels.symmetry_group)
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with output_errors(path), h5py.File(partial, "w", libver=("earliest", "v108")) as file:
+            file.attrs.update(
+                {
+                    "format": QUERIES_FORMAT,
+                    "format_version": QUERIES_FORMAT_VERSION,
+                    "object": dataset.object,
+                    "split": dataset.split,
+                    "fingerprint": dataset.fingerprint,
+                    "group_sha256": group_sha256(labels.symmetry_group),
+                    "grid_level": level,
+                    "grid_sha256": grid_sha256(level),
+                }
+            )
+            stored = {"dtype": "f4", "compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+            shape = (len(labels), len(queries), 3, 3)
+            rows = file.create_dataset("query_rotation", shape, chunks=(1, *shape[1:]), track_times=False, **stored)
+            for i, R_gt in enumerate(labels.rotation):
+                rows[i] = queries.rotations(i, R_gt)
+                on_image()
+            grid = equivolumetric_grid(level).astype(np.float32)
+            file.create_dataset("grid_rotation", data=grid, chunks=True, track_times=False, **stored)
+        with output_errors(path):
+            partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

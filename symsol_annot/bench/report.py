@@ -1,0 +1,266 @@
+"""Scores as a document (scores.json), a table for people, and a CSV with a row an image."""
+
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import scipy
+
+from symsol_annot import __version__
+from symsol_annot.bench.averages import DRAWS, MIN_IMAGES, Figure
+from symsol_annot.bench.queries import group_sha256
+from symsol_annot.bench.scoring import ObjectScores, TrackScores
+from symsol_annot.errors import ScoresError
+from symsol_annot.files import file_sha256
+from symsol_annot.grid import grid_sha256
+
+SCORES_FORMAT = "symsol-annot scores"
+SCORES_FORMAT_VERSION = 1
+STRATA = ("all", "shown", "hidden", "barely")
+HIGHER, LOWER, NEITHER = "higher", "lower", ""  # is better
+
+# What the table shows of each track: metric, title, what is better. scores.json has every metric.
+TABLE = {
+    "hypotheses": (
+        ("recall_mean_error_rad", "recall mean error, rad (5.7)", LOWER),
+        ("recall_mean_error_image_mean_rad", "  mean of images, rad", LOWER),
+        ("coverage_at_5_deg", "coverage at 5 deg", HIGHER),
+        ("precision_mean_error_rad", "precision mean error, rad (5.9)", LOWER),
+        ("precision_mean_error_continuous_rad", "  to the arcs, rad", LOWER),
+        ("accuracy_at_5_deg", "accuracy at 5 deg", HIGHER),
+        ("f_measure_at_5_deg", "F-measure at 5 deg", HIGHER),
+    ),
+    "classifier": (
+        ("recall", "recall (7.5)", HIGHER),
+        ("precision", "precision (7.6)", HIGHER),
+        ("precision_beyond_half_degree", "  beyond 0.5 deg of the set", HIGHER),
+        ("f_measure", "F-measure (7.8)", HIGHER),
+        ("accuracy", "accuracy (7.7)", HIGHER),
+        ("hard_negative_rate", "hard negative rate", LOWER),
+        ("decoy_false_positive_rate", "decoy false positive rate", LOWER),
+        ("grid_positive_rate", "grid positive rate", NEITHER),
+        ("nothing_predicted_rate", "images without a positive", NEITHER),
+    ),
+    "density": (
+        ("log_likelihood", "log-likelihood", HIGHER),
+        ("log_likelihood_ceiling", "  ceiling", NEITHER),
+        ("log_likelihood_at_gt", "log-likelihood at R_gt", HIGHER),
+        ("log_likelihood_at_gt_ceiling", "  ceiling", NEITHER),
+        ("spread_rad", "spread, rad", LOWER),
+        ("spread_at_ceiling_rad", "  at the ceiling, rad", NEITHER),
+    ),
+}
+BENCHMARK = {
+    "hypotheses": ("recall_mean_error_rad", "coverage_at_5_deg", "precision_mean_error_rad", "accuracy_at_5_deg"),
+    "classifier": ("recall", "precision", "f_measure", "hard_negative_rate"),
+    "density": ("log_likelihood", "log_likelihood_ceiling", "spread_rad"),
+}
+_LISTS = re.compile(r"\[[^\[\]{}]*\]")  # innermost lists
+F_NOTE = (
+    "F is not compared from one stratum to another: a set of 720 has more grid rotations around it than a set of 1,\n"
+    "but not 720 times as many, so that equally tight answers have other precisions."
+)
+
+
+def to_document(scores: Sequence[ObjectScores], files: Sequence[Path]) -> dict[str, Any]:
+    """Return the scores of one method on some objects as a JSON document.
+
+    Raises:
+        ScoresError: two files are about one object, or of different methods.
+    """
+    names = [one.truth.object for one in scores]
+    doubled = sorted({name for name in names if names.count(name) > 1})
+    if doubled:
+        raise ScoresError(f"more than one of the files is about {', '.join(doubled)}; score one file an object")
+    methods = sorted({one.method for one in scores})
+    if len(methods) > 1:
+        raise ScoresError(f"the files are of different methods ({', '.join(methods)}); score one method at a time")
+    return {
+        "format": SCORES_FORMAT,
+        "format_version": SCORES_FORMAT_VERSION,
+        "method": methods[0],
+        "ranks": not any(track.warnings for one in scores for track in one.tracks.values()),
+        "versions": {
+            "symsol-annot": __version__,
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "h5py": h5py.__version__,
+        },
+        "bootstrap": {"draws": DRAWS, "interval": 0.95, "min_images": MIN_IMAGES},
+        "objects": {one.truth.object: _object(one, path) for one, path in zip(scores, files, strict=True)},
+    }
+
+
+def _object(scores: ObjectScores, path: Path) -> dict[str, Any]:
+    truth = scores.truth
+    document: dict[str, Any] = {
+        "split": truth.split,
+        "images": len(truth),
+        "fingerprint": truth.fingerprint,
+        "group_sha256": group_sha256(truth.labels.symmetry_group),
+        "predictions": {"file": path.name, "sha256": file_sha256(path)},
+        "strata": {name: int(rows.sum()) for name, rows in truth.strata.items()},
+    }
+    for name, track in scores.tracks.items():
+        level = track.facts.get("grid_level")
+        document[name] = {
+            "name": track.name,
+            **track.facts,
+            **({} if level is None else {"grid_sha256": grid_sha256(int(level))}),
+            "warnings": list(track.warnings),
+            **{
+                stratum: {metric: _figure(figure) for metric, figure in figures.items()}
+                for stratum, figures in track.figures.items()
+            },
+        }
+    document["per_image"] = _per_image(scores)
+    return document
+
+
+def _figure(figure: Figure) -> dict[str, Any]:
+    return {
+        "value": _number(figure.value),
+        "low": _number(figure.low),
+        "high": _number(figure.high),
+        "images": figure.images,
+        "undefined": figure.undefined,
+    }
+
+
+def _per_image(scores: ObjectScores) -> dict[str, Any]:
+    """Return what `compare` needs: strata, set sizes and the table's metrics of each image, to nine digits."""
+    truth = scores.truth
+    return {
+        "set_size": truth.set_sizes.tolist(),
+        "strata": {name: np.flatnonzero(rows).tolist() for name, rows in truth.strata.items() if name != "all"},
+        **{
+            name: {
+                metric: [_number(value) for value in track.per_image.values[metric].tolist()]
+                for metric in table_metrics(name, track)
+            }
+            for name, track in scores.tracks.items()
+        },
+    }
+
+
+def table_metrics(name: str, track: TrackScores) -> list[str]:
+    """Return the metrics that the table shows of a track, as far as this object has them."""
+    return [metric for metric, _, _ in TABLE[name] if metric in track.per_image.values]
+
+
+def _number(value: float) -> float | None:
+    """Return a JSON number with what digits mean something; null where undefined."""
+    return float(f"{value:.12g}") if math.isfinite(value) else None
+
+
+def to_json(document: dict[str, Any]) -> str:
+    """Return a document as JSON that a person can read down to the figures and that has one line a list."""
+    text = json.dumps(document, indent=1, allow_nan=False)
+    return _LISTS.sub(lambda found: " ".join(found.group().split()), text) + "\n"
+
+
+def tables(document: dict[str, Any]) -> str:
+    """Return the tables of all objects, and the benchmark's where there are several."""
+    parts = [_object_tables(document["method"], name, entry) for name, entry in document["objects"].items()]
+    if len(document["objects"]) > 1:
+        parts.append(_benchmark(document))
+    return "\n\n".join(parts)
+
+
+def _object_tables(method: str, name: str, entry: dict[str, Any]) -> str:
+    lines = [f"{name}, {entry['split']} split, {entry['images']} images: {method}"]
+    for track in TABLE:
+        if track in entry:
+            lines += ["", *_track_table(track, entry)]
+    return "\n".join(lines)
+
+
+def _track_table(track: str, entry: dict[str, Any]) -> list[str]:
+    scores = entry[track]
+    strata = [stratum for stratum in STRATA if stratum in scores]
+    rows = [[scores["name"], *(f"{s} ({entry['strata'][s]})" for s in strata)]]
+    for metric, title, better in TABLE[track]:
+        if metric in scores["all"]:
+            arrow = {HIGHER: " ↑", LOWER: " ↓", NEITHER: ""}[better]
+            rows.append([title + arrow, *(_cell(scores[s][metric]) for s in strata)])
+    lines = aligned(rows)
+    if track == "classifier":
+        lines += [f"  p > {scores['threshold']}, grid of level {scores['grid_level']}; the sweep is in --json"]
+    if len(strata) > 1 and track != "density":
+        lines += F_NOTE.splitlines()
+    return lines + [f"WARNING: {warning}" for warning in scores["warnings"]]
+
+
+def _cell(figure: dict[str, Any]) -> str:
+    if figure["value"] is None:
+        return "-"
+    interval = "" if figure["low"] is None else f" [{_short(figure['low'])}, {_short(figure['high'])}]"
+    return _short(figure["value"]) + interval
+
+
+def _short(value: float) -> str:
+    return f"{value:.4f}" if value == 0 or abs(value) >= 1e-3 else f"{value:.1e}"
+
+
+def _benchmark(document: dict[str, Any]) -> str:
+    """Return a row a figure and a column an object, and their mean."""
+    lines = ["all objects, all images"]
+    for track, metrics in BENCHMARK.items():
+        entries = {name: entry[track] for name, entry in document["objects"].items() if track in entry}
+        if not entries:
+            continue
+        titles = {metric: title for metric, title, _ in TABLE[track]}
+        rows = [[track, *entries, "mean"]]
+        for metric in metrics:
+            values = [entry["all"][metric]["value"] for entry in entries.values()]
+            known = [value for value in values if value is not None]
+            mean = _short(float(np.mean(known))) if known else "-"
+            rows.append([titles[metric].strip(), *("-" if v is None else _short(v) for v in values), mean])
+        lines += ["", *aligned(rows)]
+    return "\n".join(lines)
+
+
+def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return rows as lines with the first column to the left and the others to the right."""
+    table = [list(row) for row in rows]
+    widths = [max(len(row[column]) for row in table) for column in range(len(table[0]))]
+    return [
+        "  ".join(
+            cell.rjust(width) if column else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in table
+    ]
+
+
+def per_image_csv(scores: Sequence[ObjectScores]) -> str:
+    """Return a row an image, of all objects, with every metric of every track as a column."""
+    columns = {
+        f"{name}.{metric}": None
+        for one in scores
+        for name, track in one.tracks.items()
+        for metric in track.per_image.values
+    }
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["object", "split", "image_index", "stratum", "barely", "set_size", *columns])
+    for one in scores:
+        strata = one.truth.strata
+        for i in range(len(one.truth)):
+            stratum = next((name for name in ("shown", "hidden") if name in strata and strata[name][i]), "all")
+            figures = {
+                f"{name}.{metric}": _number(float(values[i]))
+                for name, track in one.tracks.items()
+                for metric, values in track.per_image.values.items()
+            }
+            barely = int("barely" in strata and strata["barely"][i])
+            about = [one.truth.object, one.truth.split, i, stratum, barely, int(one.truth.set_sizes[i])]
+            writer.writerow([*about, *("" if figures.get(c) is None else figures[c] for c in columns)])
+    return text.getvalue()

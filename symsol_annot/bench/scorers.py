@@ -1,0 +1,216 @@
+"""A scorer a track: from one image's predictions and its truth to that image's figures."""
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench import metrics
+from symsol_annot.bench.averages import Figure
+from symsol_annot.bench.format import STANDARD_THRESHOLD
+from symsol_annot.bench.nearest import angles_to_arcs, nearest_angles, nearest_angles_on_circles
+from symsol_annot.bench.queries import Queries
+from symsol_annot.bench.tracks import (
+    ClassifierBlock,
+    ClassifierTrack,
+    DensityBlock,
+    DensityTrack,
+    HypothesesBlock,
+    HypothesesTrack,
+)
+from symsol_annot.bench.truth import Truth
+from symsol_annot.grid import STANDARD_LEVEL, GridIndex, grid_size
+from symsol_annot.so3 import Angles, Rotations
+
+ANGLES_DEG = (1, 2, 5, 10, 15, 30)
+SWEPT_THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
+NEAR_SET_RAD = float(np.radians(0.5))
+HARD_NEGATIVE_RAD = float(np.radians(5.0)) + 1e-9  # five steps of the lattice are not more than 5 degrees
+_MANY_MEMBERS = 24  # from where the circles are faster than all pairs
+_DECOY_FACTOR, _DECOY_SLACK = 3.0, 0.01
+
+Row = dict[str, tuple[float, float]]  # metric to value and weight
+Facts = dict[str, float | int]
+Warnings = tuple[str, ...]
+
+
+class HypothesesScorer:
+    """Recall and precision of hypotheses (section 5.2)."""
+
+    def __init__(self, track: HypothesesTrack, truth: Truth) -> None:
+        self._truth = truth
+        self._thresholds_rad = np.radians(ANGLES_DEG)
+        self.name = f"hypotheses (M = {track.count})"
+        self.facts: Facts = {"M": track.count}
+
+    def score_image(self, block: HypothesesBlock, r: int) -> Row:
+        """Return the figures of row r."""
+        i = int(block.image_index[r])
+        hypotheses, weights = block.hypotheses[r], None
+        if block.weights is not None:
+            is_there = block.weights[r] > 0
+            hypotheses, weights = hypotheses[is_there], block.weights[r][is_there]
+        members = self._truth.labels.symmetry_set(i)
+        recall_errors, precision_errors = metrics.recall_and_precision_errors(members, hypotheses)
+        coverage = metrics.share_within(recall_errors, self._thresholds_rad)
+        accuracy = metrics.share_within(precision_errors, self._thresholds_rad, weights)
+        f_measure = metrics.harmonic_mean(coverage, accuracy)
+        recall_error = metrics.mean_error(recall_errors)
+        row: Row = {
+            "recall_mean_error_rad": (recall_error, len(members)),
+            "recall_mean_error_image_mean_rad": (recall_error, 1),
+            "precision_mean_error_rad": (metrics.mean_error(precision_errors, weights), 1),
+        }
+        if self._truth.circles:
+            mask = self._truth.labels.symmetry_mask[i]
+            to_arcs = angles_to_arcs(self._truth.circles, self._truth.labels.rotation[i], mask, hypotheses)
+            to_set = np.minimum(precision_errors, to_arcs)
+            row["precision_mean_error_continuous_rad"] = (metrics.mean_error(to_set, weights), 1)
+        for t, degrees in enumerate(ANGLES_DEG):
+            row[f"coverage_at_{degrees}_deg"] = (coverage[t], len(members))
+            row[f"coverage_image_mean_at_{degrees}_deg"] = (coverage[t], 1)
+            row[f"accuracy_at_{degrees}_deg"] = (accuracy[t], 1)
+            row[f"f_measure_at_{degrees}_deg"] = (f_measure[t], 1)
+        return row
+
+    def warnings(self, over_all: dict[str, Figure]) -> Warnings:  # noqa: ARG002 - the scorers' common form
+        """Return why the score does not rank: there is no such reason."""
+        return ()
+
+
+class ClassifierScorer:
+    """Recall, precision and F-measure of a classifier (section 7.2)."""
+
+    name = "classifier"
+
+    def __init__(self, track: ClassifierTrack, truth: Truth) -> None:
+        self._truth, self._level = truth, track.grid_level
+        self._thresholds = np.array([t for t in SWEPT_THRESHOLDS if t >= track.floor])
+        self._standard = int(np.searchsorted(self._thresholds, STANDARD_THRESHOLD))
+        self._queries = Queries(truth.fingerprint, truth.labels.symmetry_group)
+        self._near = truth.near_elements(HARD_NEGATIVE_RAD)
+        self.facts: Facts = {"floor": track.floor, "threshold": STANDARD_THRESHOLD, "grid_level": self._level}
+
+    @cached_property
+    def _grid(self) -> GridIndex:
+        return GridIndex(self._level)
+
+    def score_image(self, block: ClassifierBlock, r: int) -> Row:
+        """Return the figures of row r."""
+        i = int(block.image_index[r])
+        mask = self._truth.labels.symmetry_mask[i]
+        asked = self._queries.unshuffle(i, block.query_probability[r])
+        candidates, decoys = asked[0], asked[1:]
+        grid_indices, grid_probability = block.on_grid.row(r)
+        size, set_size, s = grid_size(self._level), int(mask.sum()), self._standard
+        tp = np.count_nonzero(candidates[mask] > self._thresholds[:, None], axis=1)
+        fp = len(grid_probability) - np.searchsorted(np.sort(grid_probability), self._thresholds, side="right")
+        recall, precision = metrics.recall(tp, set_size), metrics.precision(tp, fp)
+        f_measure = metrics.f_measure(tp, fp, set_size)
+        claimed = grid_indices[grid_probability > STANDARD_THRESHOLD]
+        rejected = ~mask & ~(self._near @ mask)
+        row: Row = {
+            "recall": (recall[s], 1),
+            "precision": (precision[s], 1),
+            "f_measure": (f_measure[s], 1),
+            "accuracy": (metrics.classifier_accuracy(tp, fp, set_size, size)[s], 1),
+            "precision_beyond_half_degree": (self._precision_beyond(i, tp[s], claimed), 1),
+            "nothing_predicted_rate": (float(tp[s] + fp[s] == 0), 1),
+            "grid_positive_rate": (fp[s] / size, 1),
+            "decoy_false_positive_rate": (float((decoys > STANDARD_THRESHOLD).mean()), 1),
+            "hard_negative_rate": _share((candidates > STANDARD_THRESHOLD)[rejected]),
+        }
+        for t, threshold in enumerate(self._thresholds):
+            row[f"recall_above_{threshold:g}"] = (recall[t], 1)
+            row[f"precision_above_{threshold:g}"] = (precision[t], 1)
+            row[f"f_measure_above_{threshold:g}"] = (f_measure[t], 1)
+        return row
+
+    def _precision_beyond(self, i: int, true_positives: int, claimed: npt.NDArray[np.int64]) -> float:
+        """Return the precision without the grid rotations within half a degree of the symmetry set."""
+        far = len(claimed)
+        if far:
+            near = self._grid.within(self._truth.labels.symmetry_set(i), NEAR_SET_RAD)
+            far -= len(np.intersect1d(claimed, near, assume_unique=True))
+        return float(metrics.precision(np.array(true_positives), np.array(far)))
+
+    def warnings(self, over_all: dict[str, Figure]) -> Warnings:
+        """Return why the score does not rank: another grid, or it says yes to what it is asked."""
+        decoys, grid = (over_all[name].value for name in ("decoy_false_positive_rate", "grid_positive_rate"))
+        if decoys <= _DECOY_FACTOR * grid + _DECOY_SLACK:
+            return _grid_warnings(self._level)
+        warning = (
+            f"it claims {decoys:.2%} of the decoys, random rotations that it was asked about, but {grid:.3%} of the "
+            "grid: its answers depend on being asked, and this score does not rank"
+        )
+        return (warning, *_grid_warnings(self._level))
+
+
+class DensityScorer:
+    """Log-likelihood and spread of a density on the grid, each beside that of the best density there."""
+
+    name = "density"
+
+    def __init__(self, track: DensityTrack, truth: Truth) -> None:
+        self._truth, self._level = truth, track.grid_level
+        self.facts: Facts = {"grid_level": self._level}
+
+    @cached_property
+    def _grid(self) -> GridIndex:
+        return GridIndex(self._level)
+
+    def score_image(self, block: DensityBlock, r: int) -> Row:
+        """Return the figures of row r."""
+        i, size, labels = int(block.image_index[r]), len(self._grid), self._truth.labels
+        members = labels.symmetry_set(i)
+        indices, log_probability = block.on_grid.row(r)
+        listed = np.exp(log_probability)
+        rest = (1.0 - listed.sum()) / (size - len(listed)) if len(listed) < size else 0.0
+        angles = self._angles_to_set(i, members)
+        cells, cell_of_gt = self._grid.nearest(members), self._grid.nearest(labels.rotation[i][None])
+        best_cells, shares = np.unique(cells, return_counts=True)
+        best = shares / len(members)
+        at_members, at_gt = (_looked_up(indices, listed, at, rest) for at in (cells, cell_of_gt))
+        best_at_members, best_at_gt = (_looked_up(best_cells, best, at, 0.0) for at in (cells, cell_of_gt))
+        return {
+            "log_likelihood": (metrics.log_likelihood(at_members, size), 1),
+            "log_likelihood_ceiling": (metrics.log_likelihood(best_at_members, size), 1),
+            "log_likelihood_at_gt": (metrics.log_likelihood(at_gt, size), 1),
+            "log_likelihood_at_gt_ceiling": (metrics.log_likelihood(best_at_gt, size), 1),
+            "spread_rad": (metrics.spread(listed, angles[indices], angles), 1),
+            "spread_at_ceiling_rad": (float(best @ angles[best_cells]), 1),
+        }
+
+    def _angles_to_set(self, i: int, members: Rotations) -> Angles:
+        """Return the angle in rad from every grid rotation to the nearest member."""
+        circles, labels = self._truth.circles, self._truth.labels
+        if circles and len(members) > _MANY_MEMBERS:
+            return nearest_angles_on_circles(circles, labels.rotation[i], labels.symmetry_mask[i], self._grid.rotations)
+        return nearest_angles(self._grid.rotations, members)
+
+    def warnings(self, over_all: dict[str, Figure]) -> Warnings:  # noqa: ARG002 - the scorers' common form
+        """Return why the score does not rank: another grid."""
+        return _grid_warnings(self._level)
+
+
+Scorer = HypothesesScorer | ClassifierScorer | DensityScorer
+
+
+def _share(flags: npt.NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the share of flags that are set and weight 1; of none, NaN and weight 0."""
+    return (float(flags.mean()), 1) if len(flags) else (np.nan, 0)
+
+
+def _looked_up(
+    indices: npt.NDArray[np.int64], values: npt.NDArray[np.float64], wanted: npt.NDArray[np.int64], otherwise: float
+) -> npt.NDArray[np.float64]:
+    """Return the values at wanted indices, and `otherwise` where one is not among the ascending `indices`."""
+    place = np.searchsorted(indices, wanted)
+    padded_indices, padded_values = np.append(indices, -1), np.append(values, otherwise)
+    return np.where(padded_indices[place] == wanted, padded_values[place], otherwise)
+
+
+def _grid_warnings(level: int) -> Warnings:
+    if level == STANDARD_LEVEL:
+        return ()
+    return (f"it is on the grid of level {level}; scores on other levels than {STANDARD_LEVEL} do not rank",)

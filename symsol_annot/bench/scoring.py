@@ -1,0 +1,118 @@
+"""Predictions against the truth: figures an image, track by track, and then figures a stratum."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench.averages import Figure, PerImage, figures, merge
+from symsol_annot.bench.predictions import Predictions, open_predictions
+from symsol_annot.bench.scorers import ClassifierScorer, DensityScorer, Facts, HypothesesScorer, Row, Scorer
+from symsol_annot.bench.tracks import ClassifierTrack, DensityTrack, HypothesesTrack, Track
+from symsol_annot.bench.truth import Truth
+
+OnImages = Callable[[int], object]
+
+
+@dataclass(frozen=True, eq=False)
+class TrackScores:
+    """A track's scores.
+
+    Attributes:
+        name: of the result, like "hypotheses (M = 30)".
+        per_image: figures of every image.
+        figures: stratum to metric to figure.
+        facts: what else belongs to the result: M, the grid's level, the floor.
+        warnings: why it does not rank, in plain words.
+    """
+
+    name: str
+    per_image: PerImage
+    figures: dict[str, dict[str, Figure]]
+    facts: Facts
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectScores:
+    """The scores of one predictions file.
+
+    Attributes:
+        method: what it calls itself.
+        truth: what it was held against.
+        tracks: name to scores.
+    """
+
+    method: str
+    truth: Truth
+    tracks: dict[str, TrackScores]
+
+
+def score_file(path: Path, data: Path, on_images: OnImages = lambda _: None) -> ObjectScores:
+    """Score a predictions file.
+
+    Args:
+        path: of the predictions.
+        data: a set's folder, or the folder of sets.
+        on_images: called with a count whenever so many images of a track were scored.
+
+    Raises:
+        PredictionsError: with all faults of the file.
+        DataError: the set that it is about is not there or damaged.
+    """
+    with open_predictions(path, data) as predictions:
+        return score(predictions, on_images)
+
+
+def score(predictions: Predictions, on_images: OnImages = lambda _: None) -> ObjectScores:
+    """Score predictions, whose contents are checked on the way.
+
+    Raises:
+        PredictionsError: with all faults of the file.
+    """
+    truth = predictions.truth
+    if predictions.faults:
+        predictions.check()
+    tables = {track.name: _per_image(track, predictions, on_images) for track in predictions.tracks}
+    predictions.raise_faults()
+    tracks = {}
+    for name, (scorer, table) in tables.items():
+        result = figures(table, truth.strata)
+        tracks[name] = TrackScores(scorer.name, table, result, scorer.facts, scorer.warnings(result["all"]))
+    return ObjectScores(predictions.method, truth, tracks)
+
+
+def _per_image(track: Track, predictions: Predictions, on_images: OnImages) -> tuple[Scorer, PerImage]:
+    """Return a track's figures of every image; incomplete where the file has faults."""
+    scorer: Any = scorer_of(track, predictions.truth)
+    parts = []
+    for block in predictions.blocks(track):
+        count = len(block.image_index)
+        if not predictions.faults:
+            parts.append(_table(block.image_index, [scorer.score_image(block, r) for r in range(count)]))
+        on_images(count)
+    return scorer, merge(parts)
+
+
+def scorer_of(track: Track, truth: Truth) -> Scorer:
+    """Return what scores a track."""
+    match track:
+        case HypothesesTrack():
+            return HypothesesScorer(track, truth)
+        case ClassifierTrack():
+            return ClassifierScorer(track, truth)
+        case DensityTrack():
+            return DensityScorer(track, truth)
+
+
+def _table(image_index: npt.NDArray[np.int64], rows: list[Row]) -> PerImage:
+    names = list(rows[0])
+    columns = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in names}
+    return PerImage(
+        image_index,
+        {name: column[:, 0] for name, column in columns.items()},
+        {name: column[:, 1] for name, column in columns.items()},
+    )

@@ -1,0 +1,149 @@
+"""What a predictions file holds, checked before anything in it is read: names, types, shapes, sizes, filters."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench.faults import FaultLog
+from symsol_annot.bench.format import (
+    FILTERS,
+    IMAGE_INDEX,
+    INTEGERS,
+    MAX_CHUNK_BYTES,
+    PREDICTIONS_FORMAT,
+    PREDICTIONS_FORMAT_VERSION,
+    TRACKS,
+    is_level,
+    track_of,
+)
+from symsol_annot.bench.queries import group_sha256
+from symsol_annot.bench.sandbox import DatasetFacts, SandboxedFile
+from symsol_annot.bench.truth import Truth
+from symsol_annot.grid import grid_sha256
+
+_WORDS = {str: "a string", int: "a whole number", float: "a number"}
+_ADVICE = {
+    "fingerprint": "; the file is about another data set, or another version of it",
+    "group_sha256": "; the queries were asked in the order of another group",
+    "grid_sha256": "; the grid is another one, or in another order",
+    "object": "; --data names a set of another object",
+}
+
+
+class Structure:
+    """A file's attributes and data sets, held against the format and the truth. Faults go to the log.
+
+    Attributes:
+        file: the predictions file.
+        truth: what it is about.
+        faults: where faults go.
+        image_index: (N,) which image each row is about; None where that is broken.
+    """
+
+    def __init__(self, file: SandboxedFile, truth: Truth, faults: FaultLog) -> None:
+        self.file, self.truth, self.faults = file, truth, faults
+        self._facts = {name: facts for name, facts in file.datasets.items() if self._is_readable(name, facts)}
+        self.image_index = self._read_image_index()
+
+    @property
+    def rows(self) -> int | str:
+        """N, or the letter where the images are not known."""
+        return "N" if self.image_index is None else len(self.image_index)
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is anything of this name, readable or not."""
+        return name in self.file.datasets
+
+    def facts(self, name: str) -> DatasetFacts:
+        """Return what a data set is that was found to be readable."""
+        return self._facts[name]
+
+    def has_attributes(self, expected: dict[str, type], track: str) -> bool:
+        """Check that attributes are there, of their types, and say what the truth says."""
+        found, before = self.file.attributes, len(self.faults)
+        for name, kind in expected.items():
+            value, odd = found.get(name), self.file.odd_attributes.get(name)
+            if odd or value is None:
+                reason = f"is not {_WORDS[kind]} but {odd}" if odd else f"is missing; it is {_WORDS[kind]}"
+                self.faults.add(track, f"attribute {name!r} {reason}")
+            elif not isinstance(value, int | float if kind is float else kind):
+                self.faults.add(track, f"attribute {name!r}: expected {_WORDS[kind]}, found {value!r}")
+        for name, right in self._right_attributes().items():
+            if name in expected and name in found and found[name] != right:
+                advice = _ADVICE.get(name, "")
+                self.faults.add(track, f"attribute {name!r}: expected {right!r}, found {found[name]!r}{advice}")
+        return len(self.faults) == before
+
+    def is_shaped(self, name: str, types: tuple[str, ...], shape: tuple[int | str, ...]) -> bool:
+        """Check a data set's type and shape, in which a letter stands for any size."""
+        facts = self._facts.get(name)
+        if facts is None:
+            if not self.has(name):
+                self.faults.add(track_of(name), f"data set {name!r} is missing")
+            return False
+        fits = len(facts.shape) == len(shape) and all(
+            isinstance(want, str) or have == want for have, want in zip(facts.shape, shape, strict=True)
+        )
+        if facts.dtype in types and fits:
+            return True
+        wanted = f"{' or '.join(t[1:] for t in types)} of shape ({', '.join(map(str, shape))})"
+        found = f"{facts.dtype[1:]} of shape {facts.shape}"
+        hint = ""
+        if name == "hypotheses" and facts.shape[-1:] == (4,):
+            hint = "; these look like quaternions, where 3x3 rotation matrices belong"
+        self.faults.add(track_of(name), f"{name!r}: expected {wanted}, found {found}{hint}")
+        return False
+
+    def _right_attributes(self) -> dict[str, Any]:
+        truth, level = self.truth, self.file.attributes.get("grid_level")
+        right = {
+            "format": PREDICTIONS_FORMAT,
+            "format_version": PREDICTIONS_FORMAT_VERSION,
+            "object": truth.object,
+            "split": truth.split,
+            "fingerprint": truth.fingerprint,
+            "group_sha256": group_sha256(truth.labels.symmetry_group),
+        }
+        return {**right, "grid_sha256": grid_sha256(level)} if level is not None and is_level(level) else right
+
+    def _is_readable(self, name: str, facts: DatasetFacts) -> bool:
+        foreign = [str(number) for number in facts.filters if number not in FILTERS]
+        reason = ""
+        if name != IMAGE_INDEX and not any(name in names for names in TRACKS.values()):
+            reason = "is not part of the format"
+        elif facts.found:
+            reason = f"is {facts.found}, where a data set of numbers in this file belongs"
+        elif facts.is_elsewhere:
+            reason = (
+                "takes its values from elsewhere (external storage or a virtual data set); copy them into this file"
+            )
+        elif foreign:
+            reason = f"is stored with HDF5's filter {', '.join(foreign)}; use {', '.join(FILTERS.values())} only"
+        elif facts.chunk_bytes > MAX_CHUNK_BYTES:
+            reason = f"has chunks of {facts.chunk_bytes / 2**20:.0f} MiB; at most {MAX_CHUNK_BYTES >> 20} are read"
+        if reason:
+            self.faults.add(track_of(name), f"{name!r} {reason}")
+        return not reason
+
+    def _read_image_index(self) -> npt.NDArray[np.int64] | None:
+        expected, split = len(self.truth), self.truth.split
+        if not self.is_shaped(IMAGE_INDEX, INTEGERS, ("N",)):
+            return None
+        count = self._facts[IMAGE_INDEX].shape[0]
+        if count > 2 * expected + 1000:
+            self.faults.add("the file", f"has {count} rows; the {split} split has {expected} images")
+            return None
+        image_index: npt.NDArray[np.int64] = self.file.read(IMAGE_INDEX, 0, count).astype(np.int64)
+        is_strange = (image_index < 0) | (image_index >= expected)
+        seen = np.bincount(image_index[~is_strange], minlength=expected)
+        found = {
+            "{} of the {} images are missing": np.flatnonzero(seen == 0),
+            "{} of the {} images are there more than once": np.flatnonzero(seen > 1),
+            "{} rows are about images outside the {} of the split": image_index[is_strange],
+        }
+        for what, which in found.items():
+            if len(which):
+                some = ", ".join(str(i) for i in which[:5]) + (", ..." if len(which) > 5 else "")
+                self.faults.add("the file", f"{IMAGE_INDEX!r}: {what.format(len(which), expected)}: {some}")
+        return None if any(map(len, found.values())) else image_index

@@ -1,0 +1,293 @@
+"""The tracks of a predictions file: each checked, and read in blocks of bounded size."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench.format import (
+    CLASSIFIER_ATTRIBUTES,
+    GRID_ATTRIBUTES,
+    INTEGERS,
+    MAX_GRID_LEVEL,
+    MAX_HYPOTHESES,
+    REALS,
+    ROTATION_TOLERANCE,
+    STANDARD_THRESHOLD,
+    is_level,
+)
+from symsol_annot.bench.queries import query_count
+from symsol_annot.bench.structure import Structure
+from symsol_annot.grid import grid_size
+from symsol_annot.so3 import Rotations, rotation_deviation
+
+_BLOCK_BYTES = 2**24
+_BLOCK_ENTRIES = 2**21
+_ALL_LISTED = 1e-5  # how far from 1 the sum of a density may be that lists every cell
+
+Indices = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class SparseRows:
+    """Values on some grid rotations for each of b images.
+
+    Attributes:
+        offsets: (b + 1,) image r has the entries offsets[r] : offsets[r + 1].
+        indices: (K,) grid indices, ascending within an image.
+        values: (K,) f8.
+    """
+
+    offsets: Indices
+    indices: Indices
+    values: npt.NDArray[np.float64]
+
+    def row(self, r: int) -> tuple[Indices, npt.NDArray[np.float64]]:
+        """Return the indices and values of one image."""
+        entries = slice(self.offsets[r], self.offsets[r + 1])
+        return self.indices[entries], self.values[entries]
+
+    def any_in_row(self, flags: Flags) -> Flags:
+        """Return for each image whether any of its entries is flagged."""
+        before = np.concatenate([[0], np.cumsum(flags)])
+        return before[self.offsets[1:]] > before[self.offsets[:-1]]
+
+
+@dataclass(frozen=True, eq=False)
+class HypothesesBlock:
+    """Hypotheses of b images: image_index (b,), hypotheses (b, M, 3, 3) f8, weights (b, M) f8 or None for all alike."""
+
+    image_index: Indices
+    hypotheses: Rotations
+    weights: npt.NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, eq=False)
+class ClassifierBlock:
+    """A classifier's answers about b images: image_index (b,), query_probability (b, Q) f8, and on the grid."""
+
+    image_index: Indices
+    query_probability: npt.NDArray[np.float64]
+    on_grid: SparseRows
+
+
+@dataclass(frozen=True, eq=False)
+class DensityBlock:
+    """Densities of b images: image_index (b,), and log-probabilities of grid cells."""
+
+    image_index: Indices
+    on_grid: SparseRows
+
+
+class HypothesesTrack:
+    """Rotations that a method proposes for each image (chapter 5)."""
+
+    name = "hypotheses"
+
+    def __init__(self, structure: Structure) -> None:
+        self._structure, self._faults, self._file = structure, structure.faults, structure.file
+        self._has_weights = structure.has("hypothesis_weights")
+
+    @property
+    def count(self) -> int:
+        """M, how many hypotheses an image has."""
+        return self._structure.facts("hypotheses").shape[1]
+
+    def is_sound(self) -> bool:
+        """Check what can be known without reading."""
+        structure = self._structure
+        is_shaped = structure.is_shaped("hypotheses", REALS, (structure.rows, "M", 3, 3))
+        if is_shaped and not 1 <= self.count <= MAX_HYPOTHESES:
+            self._faults.add(self.name, f"M = {self.count}: 1 to {MAX_HYPOTHESES} hypotheses an image are read")
+            return False
+        if self._has_weights:
+            count: int | str = self.count if is_shaped else "M"
+            return structure.is_shaped("hypothesis_weights", REALS, (structure.rows, count)) and is_shaped
+        return is_shaped
+
+    def blocks(self, image_index: Indices) -> Iterator[HypothesesBlock]:
+        """Yield the images that have no fault."""
+        tolerance = ROTATION_TOLERANCE[self._structure.facts("hypotheses").dtype]
+        step = max(1, _BLOCK_BYTES // (72 * self.count))
+        for start in range(0, len(image_index), step):
+            stop = min(start + step, len(image_index))
+            hypotheses = self._file.read("hypotheses", start, stop).astype(np.float64)
+            weights, used = None, np.ones(hypotheses.shape[:2], dtype=bool)
+            good = np.ones(stop - start, dtype=bool)
+            if self._has_weights:
+                weights = self._file.read("hypothesis_weights", start, stop).astype(np.float64)
+                good, used = self._check_weights(start, weights), weights > 0
+            good &= self._check_rotations(start, hypotheses, used, tolerance)
+            yield HypothesesBlock(
+                image_index[start:stop][good], hypotheses[good], None if weights is None else weights[good]
+            )
+
+    def _check_weights(self, start: int, weights: npt.NDArray[np.float64]) -> Flags:
+        is_number = (np.isfinite(weights) & (weights >= 0)).all(axis=1)
+        has_positive = (weights > 0).any(axis=1)
+        self._faults.add_rows(self.name, "'hypothesis_weights' are not all finite and at least 0", start, ~is_number)
+        reason = "'hypothesis_weights' has no positive one"
+        self._faults.add_rows(self.name, reason, start, is_number & ~has_positive)
+        return is_number & has_positive
+
+    def _check_rotations(self, start: int, hypotheses: Rotations, used: Flags, tolerance: float) -> Flags:
+        is_finite = np.isfinite(hypotheses).all(axis=(2, 3)) | ~used
+        self._faults.add_rows(self.name, "'hypotheses' has a NaN or an infinite entry", start, ~is_finite.all(axis=1))
+        off = np.where(used & is_finite, rotation_deviation(hypotheses), 0.0)
+        is_off = (off > tolerance).any(axis=1)
+
+        def describe(row: int) -> str:
+            m = int(np.argmax(off[row]))
+            is_reflection = abs(np.linalg.det(hypotheses[row, m]) + 1.0) < 0.1
+            return f"hypothesis {m}, off by {off[row, m]:.2g}{', with determinant -1' if is_reflection else ''}"
+
+        reason = f"'hypotheses' holds a matrix that is no rotation (R^T R = I and det R = 1 within {tolerance:g})"
+        self._faults.add_rows(self.name, reason, start, is_off, describe)
+        return is_finite.all(axis=1) & ~is_off
+
+
+class _GridTrack:
+    """What the tracks on the grid share: sparse rows."""
+
+    name: str
+    offsets: str
+    indices: str
+    values: str
+
+    def __init__(self, structure: Structure) -> None:
+        self._structure, self._faults, self._file = structure, structure.faults, structure.file
+
+    @property
+    def grid_level(self) -> int:
+        """Of the grid that it is on."""
+        return int(self._file.attributes["grid_level"])
+
+    def _are_rows_sound(self) -> bool:
+        structure, level = self._structure, self._file.attributes.get("grid_level")
+        bounds = "N + 1" if isinstance(structure.rows, str) else structure.rows + 1
+        is_shaped = [
+            structure.is_shaped(self.offsets, ("<i8", "<i4"), (bounds,)),
+            structure.is_shaped(self.indices, INTEGERS, ("K",)),
+            structure.is_shaped(self.values, REALS, ("K",)),
+        ]
+        if level is not None and not is_level(level):
+            self._faults.add(self.name, f"attribute 'grid_level': expected 0 to {MAX_GRID_LEVEL}, found {level!r}")
+            return False
+        is_known = level is not None and isinstance(bounds, int)
+        return is_known and all(is_shaped) and self._are_offsets_sound()
+
+    def _are_offsets_sound(self) -> bool:
+        entries, values = (self._structure.facts(name).shape[0] for name in (self.indices, self.values))
+        if entries != values:
+            self._faults.add(self.name, f"{self.indices!r} has {entries} entries, but {self.values!r} {values}")
+            return False
+        bounds, size = self._read_offsets(), grid_size(self.grid_level)
+        steps = np.diff(bounds)
+        if bounds[0] == 0 and bounds[-1] == entries and steps.min() >= 0 and steps.max() <= size:
+            return True
+        self._faults.add(
+            self.name,
+            f"{self.offsets!r}: expected ascending numbers from 0 to {entries} with steps of at most {size}, found "
+            f"{bounds[0]} to {bounds[-1]} with steps of {steps.min()} to {steps.max()}",
+        )
+        return False
+
+    def _read_offsets(self) -> Indices:
+        return self._file.read(self.offsets, 0, self._structure.facts(self.offsets).shape[0]).astype(np.int64)
+
+    def _sparse_blocks(self, row_bytes: int) -> Iterator[tuple[slice, SparseRows]]:
+        """Yield runs of rows with a bounded number of entries, or one row with more."""
+        bounds = self._read_offsets()
+        most_rows = max(1, _BLOCK_BYTES // row_bytes)
+        start = 0
+        while start < len(bounds) - 1:
+            fitting = int(np.searchsorted(bounds, bounds[start] + _BLOCK_ENTRIES, side="right")) - 1
+            stop = min(max(start + 1, fitting), start + most_rows, len(bounds) - 1)
+            first, last = int(bounds[start]), int(bounds[stop])
+            indices, values = (self._file.read(name, first, last) for name in (self.indices, self.values))
+            rows = SparseRows(bounds[start : stop + 1] - first, indices.astype(np.int64), values.astype(np.float64))
+            yield slice(start, stop), rows
+            start = stop
+
+    def _check_indices(self, start: int, rows: SparseRows) -> Flags:
+        size = grid_size(self.grid_level)
+        outside = rows.any_in_row((rows.indices < 0) | (rows.indices >= size))
+        falls = np.zeros(len(rows.indices), dtype=bool)
+        falls[1:] = np.diff(rows.indices) <= 0
+        begins = rows.offsets[:-1]
+        falls[begins[begins < len(falls)]] = False
+        unsorted = rows.any_in_row(falls)
+        self._faults.add_rows(self.name, f"{self.indices!r} has an index outside 0 to {size - 1}", start, outside)
+        self._faults.add_rows(self.name, f"{self.indices!r} are not ascending, or one is repeated", start, unsorted)
+        return ~(outside | unsorted)
+
+
+class ClassifierTrack(_GridTrack):
+    """Probabilities that rotations are in an image's set, at its queries and on the grid (chapter 7)."""
+
+    name, offsets, indices, values = "classifier", "grid_offsets", "grid_indices", "grid_probabilities"
+
+    @property
+    def floor(self) -> float:
+        """The probability above which answers on the grid are listed."""
+        return float(self._file.attributes["floor"])
+
+    def is_sound(self) -> bool:
+        """Check what can be known without reading, and the offsets."""
+        structure = self._structure
+        queries = query_count(len(structure.truth.labels.symmetry_group))
+        is_sound = [
+            structure.has_attributes(CLASSIFIER_ATTRIBUTES, self.name),
+            structure.is_shaped("query_probability", REALS, (structure.rows, queries)),
+            self._are_rows_sound(),
+        ]
+        floor = self._file.attributes.get("floor")
+        if isinstance(floor, int | float) and not 0 <= floor <= STANDARD_THRESHOLD:
+            self._faults.add(self.name, f"attribute 'floor': expected 0 to {STANDARD_THRESHOLD}, found {floor!r}")
+            return False
+        return all(is_sound)
+
+    def blocks(self, image_index: Indices) -> Iterator[ClassifierBlock]:
+        """Yield the images, but for blocks that have a fault."""
+        for rows, on_grid in self._sparse_blocks(8 * self._structure.facts("query_probability").shape[1]):
+            probability = self._file.read("query_probability", rows.start, rows.stop).astype(np.float64)
+            strange = ~((probability >= 0) & (probability <= 1)).all(axis=1)  # NaN is strange too
+            not_above = on_grid.any_in_row(~((on_grid.values > self.floor) & (on_grid.values <= 1)))
+            self._faults.add_rows(self.name, "'query_probability' is not in [0, 1]", rows.start, strange)
+            reason = f"{self.values!r} are not above the floor {self.floor:g} and at most 1"
+            self._faults.add_rows(self.name, reason, rows.start, not_above)
+            if (self._check_indices(rows.start, on_grid) & ~strange & ~not_above).all():
+                yield ClassifierBlock(image_index[rows], probability, on_grid)
+
+
+class DensityTrack(_GridTrack):
+    """Log-probabilities of grid cells."""
+
+    name, offsets, indices, values = "density", "density_offsets", "density_indices", "density_log_probabilities"
+
+    def is_sound(self) -> bool:
+        """Check what can be known without reading, and the offsets."""
+        return all([self._structure.has_attributes(GRID_ATTRIBUTES, self.name), self._are_rows_sound()])
+
+    def blocks(self, image_index: Indices) -> Iterator[DensityBlock]:
+        """Yield the images, but for blocks that have a fault."""
+        for rows, on_grid in self._sparse_blocks(row_bytes=8):
+            strange = on_grid.any_in_row(~(np.isfinite(on_grid.values) & (on_grid.values <= 0)))
+            self._faults.add_rows(self.name, f"{self.values!r} are not finite and at most 0", rows.start, strange)
+            good = self._check_indices(rows.start, on_grid) & ~strange
+            if (self._check_mass(rows.start, on_grid, good) & good).all():
+                yield DensityBlock(image_index[rows], on_grid)
+
+    def _check_mass(self, start: int, on_grid: SparseRows, good: Flags) -> Flags:
+        """Check that the listed cells leave something to the others or, where all are listed, add up to 1."""
+        mass = np.array([np.exp(on_grid.row(r)[1]).sum() if good[r] else 0.0 for r in range(len(good))])
+        lists_all = np.diff(on_grid.offsets) == grid_size(self.grid_level)
+        is_off = good & np.where(lists_all, np.abs(mass - 1.0) > _ALL_LISTED, mass >= 1.0)
+        reason = "the listed cells must hold less than 1, so that something is left for the others (all listed: 1)"
+        self._faults.add_rows(self.name, reason, start, is_off, lambda row: f"they hold {mass[row]:.9g}")
+        return ~is_off
+
+
+Track = HypothesesTrack | ClassifierTrack | DensityTrack

@@ -1,0 +1,126 @@
+"""The equivolumetric grid on SO(3): HEALPix directions times tilts (Yershova et al., 2010; section 7.2.2).
+
+At level l, HEALPix with n_side 2^l gives 12 x 4^l directions (polar, azimuth) in ring order, each with 6 x 2^l
+tilts; a rotation is Rz(azimuth) Ry(polar) Rz(tilt). Index = tilt x directions + direction. That is the order of
+Implicit-PDF and e3nn, whose grids are the same rotations in other axes: see `implicit_pdf_to_grid_frame`.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from functools import lru_cache
+
+import healpix
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from symsol_annot.errors import SettingsError
+from symsol_annot.so3 import Rotations, rotation_to_quat_wxyz, rotations_about
+
+MAX_LEVEL = 6
+STANDARD_LEVEL = 4  # 294,912 rotations, 3.75 degrees from tilt to tilt
+_HASHED_DECIMALS = 6  # sines differ in the last bits from one C library to the next
+
+# Each takes the axes of one composition to those of the next: Rx Rz Rx and Ry Rx Ry become Rz Ry Rz.
+_FROM_IMPLICIT_PDF = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+_FROM_E3NN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def grid_size(level: int) -> int:
+    """Return how many rotations the grid of a level has: 72 x 8^level.
+
+    Raises:
+        SettingsError: there is no such level.
+    """
+    if not 0 <= level <= MAX_LEVEL:
+        raise SettingsError(f"the grid has levels 0 to {MAX_LEVEL}; there is no level {level}")
+    return 72 * 8**level
+
+
+def equivolumetric_grid(level: int = STANDARD_LEVEL) -> Rotations:
+    """Return the (72 x 8^level, 3, 3) rotations of a level in the order of their indices.
+
+    Raises:
+        SettingsError: there is no such level.
+    """
+    return np.concatenate(list(_slices(level)))
+
+
+@lru_cache(maxsize=8)
+def grid_sha256(level: int = STANDARD_LEVEL) -> str:
+    """Return the SHA-256 of a level's rotations: entries x 10^6, rounded, as little-endian 32-bit integers in order."""
+    digest = hashlib.sha256()
+    for rotations in _slices(level):
+        digest.update(np.rint(rotations * 10**_HASHED_DECIMALS).astype("<i4").tobytes())
+    return digest.hexdigest()
+
+
+def _slices(level: int) -> Iterator[Rotations]:
+    """Yield the rotations tilt by tilt."""
+    grid_size(level)
+    n_side = 2**level
+    polar, azimuth = healpix.pix2ang(n_side, np.arange(12 * n_side**2))
+    to_direction = rotations_about((0, 0, 1), azimuth) @ rotations_about((0, 1, 0), polar)
+    for tilt in rotations_about((0, 0, 1), 2.0 * np.pi * np.arange(6 * n_side) / (6 * n_side)):
+        yield to_direction @ tilt
+
+
+def implicit_pdf_to_grid_frame(R: Rotations) -> Rotations:
+    """Turn rotations (..., 3, 3) from Implicit-PDF's axes into ours, in which its grid is this grid, index by index."""
+    return _FROM_IMPLICIT_PDF @ R @ _FROM_IMPLICIT_PDF.T
+
+
+def grid_frame_to_implicit_pdf(R: Rotations) -> Rotations:
+    """Undo `implicit_pdf_to_grid_frame`."""
+    return _FROM_IMPLICIT_PDF.T @ R @ _FROM_IMPLICIT_PDF
+
+
+def e3nn_to_grid_frame(R: Rotations) -> Rotations:
+    """Turn rotations (..., 3, 3) from e3nn's axes into ours, in which its grid is this grid, index by index."""
+    return _FROM_E3NN @ R @ _FROM_E3NN.T
+
+
+def grid_frame_to_e3nn(R: Rotations) -> Rotations:
+    """Undo `e3nn_to_grid_frame`."""
+    return _FROM_E3NN.T @ R @ _FROM_E3NN
+
+
+def ring_to_nested(level: int = STANDARD_LEVEL) -> npt.NDArray[np.int64]:
+    """Return, for each grid index, its index where HEALPix's nested order is used (SpyroPose): (72 x 8^level,)."""
+    directions = 12 * 4**level
+    tilt, direction = np.divmod(np.arange(grid_size(level)), directions)
+    nested: npt.NDArray[np.int64] = tilt * directions + healpix.ring2nest(2**level, direction)
+    return nested
+
+
+class GridIndex:
+    """Finds grid rotations near given ones.
+
+    Unit quaternions q and -q are one rotation, and the chord between the nearer two is 2 sin(angle / 4): each
+    query asks for both signs.
+
+    Attributes:
+        level: of the grid.
+        rotations: (72 x 8^level, 3, 3), the grid.
+    """
+
+    def __init__(self, level: int = STANDARD_LEVEL) -> None:
+        self.level = level
+        self.rotations = equivolumetric_grid(level)
+        self._tree = cKDTree(rotation_to_quat_wxyz(self.rotations))
+
+    def __len__(self) -> int:
+        return len(self.rotations)
+
+    def nearest(self, R: Rotations) -> npt.NDArray[np.int64]:
+        """Return the indices (n,) of the grid rotations nearest to R (n, 3, 3)."""
+        quat_wxyz = rotation_to_quat_wxyz(R)
+        chord, index = self._tree.query(np.stack([quat_wxyz, -quat_wxyz]))
+        found: npt.NDArray[np.int64] = np.where(chord[0] <= chord[1], index[0], index[1])
+        return found
+
+    def within(self, R: Rotations, angle_rad: float) -> npt.NDArray[np.int64]:
+        """Return the sorted indices of all grid rotations at most `angle_rad` from any of R (n, 3, 3)."""
+        quat_wxyz = rotation_to_quat_wxyz(R)
+        lists = self._tree.query_ball_point(np.concatenate([quat_wxyz, -quat_wxyz]), 2.0 * np.sin(angle_rad / 4.0))
+        return np.unique(np.concatenate([np.asarray(found, dtype=np.int64) for found in lists]))
