@@ -13,6 +13,7 @@ from symsol_annot_cli.info import info
 from symsol_annot_cli.objects import objects
 from symsol_annot_cli.plot import plot
 from symsol_annot_cli.queries import queries
+from symsol_annot_cli.reference import reference
 from symsol_annot_cli.render import render
 from symsol_annot_cli.score import score
 from symsol_annot_cli.validate import validate
@@ -29,7 +30,7 @@ def app() -> None:
     """Images of symmetric objects, each with the set of all rotations that could have produced it."""
 
 
-for command in (render, objects, doctor, info, verify, plot, queries, validate, score, compare):
+for command in (render, objects, doctor, info, verify, plot, queries, validate, score, compare, reference):
     app.add_command(command)
 
 

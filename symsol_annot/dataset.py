@@ -20,7 +20,7 @@ import numpy.typing as npt
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.manifest import SPLITS, Manifest, read_manifest
 from symsol_annot.shards import HDF5_ERRORS, header_mismatches, open_shard_file
-from symsol_annot.so3 import Rotations
+from symsol_annot.so3 import Rotations, turned
 
 _MAX_OPEN_SHARDS = 8
 
@@ -87,7 +87,7 @@ class Labels:
 
     def symmetry_set(self, row: int) -> Rotations:
         """Return all (k, 3, 3) rotations R_m2c that draw image `row`."""
-        return self.rotation[row] @ self.symmetry_group[self.symmetry_mask[row]]
+        return turned(self.rotation[row], self.symmetry_group[self.symmetry_mask[row]])
 
 
 class Dataset(Sequence[Sample]):

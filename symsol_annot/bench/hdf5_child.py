@@ -2,13 +2,15 @@
 
 HDF5 itself crashes or loops on some damaged files, so this process has a limit on memory and one on the time
 of each request, and its death is a message in the parent. It describes the file without reading a data set, and
-then reads the rows it is asked for. It follows no link and opens no other file.
+then reads the rows it is asked for. It follows no link and opens no other file; nor could it, for it may hold only
+one open.
 
 It imports nothing of this package, so that it starts fast. Requests are lines of JSON on standard input; an answer
 is the length of a JSON header (8 bytes, little-endian), the header, and the bytes that it announces.
 """
 
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -20,6 +22,7 @@ import numpy as np
 MAX_LINKS = 64
 MAX_ATTRIBUTES = 64
 MAX_ATTRIBUTE_BYTES = 65536
+MAX_TEXT = 200  # of a name or of HDF5's words that goes on to a person
 CHUNK_CACHE_BYTES = 2**28
 _KINDS = {
     h5py.h5t.STRING: "strings",
@@ -36,12 +39,12 @@ _HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, Overflow
 
 def main(path: str, seconds: float, memory_bytes: int) -> None:
     """Describe the file at `path`, then answer requests until standard input ends."""
-    _limit_memory(memory_bytes)
+    _limit(memory_bytes)
     _allow(seconds)
     try:
         file = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE_BYTES)
     except _HDF5_ERRORS as error:
-        _answer({"error": f"cannot be read as HDF5: {error}"})
+        _answer({"error": f"cannot be read as HDF5: {_text(error)}"})
         return
     except MemoryError:
         _answer({"error": "cannot be opened within the memory allowed"})
@@ -60,7 +63,7 @@ def _attempt(function: Callable[..., Any], *arguments: Any) -> Any:
     try:
         return function(*arguments)
     except _HDF5_ERRORS as error:
-        return {"error": f"is damaged: {error}"}
+        return {"error": f"is damaged: {_text(error)}"}
     except MemoryError:
         return {"error": "needs more memory than a row of such a file should"}
 
@@ -75,14 +78,27 @@ def _describe(file: h5py.File) -> dict[str, Any]:
     count = len(file)
     if count > MAX_LINKS:
         return {"error": f"holds {count} links at its root; a predictions file holds at most 10 data sets"}
-    return {"attributes": _attributes(file), "datasets": {name: _dataset(file, name) for name in file}}
+    return {
+        "attributes": _attributes(file),
+        "datasets": {name[:MAX_TEXT]: _attempt_one(_dataset, file, name) for name in file},
+    }
 
 
 def _attributes(file: h5py.File) -> dict[str, Any]:
     count = h5py.h5a.get_num_attrs(file.id)
     if count > MAX_ATTRIBUTES:
         raise ValueError(f"{count} attributes; at most {MAX_ATTRIBUTES} are looked at")
-    return {name: _attribute(file, name) for name in file.attrs}
+    return {name[:MAX_TEXT]: _attempt_one(_attribute, file, name) for name in file.attrs}
+
+
+def _attempt_one(function: Callable[[h5py.File, str], dict[str, Any]], file: h5py.File, name: str) -> dict[str, Any]:
+    """Return what a name is; a damaged one does not hide the others."""
+    try:
+        return function(file, name)
+    except _HDF5_ERRORS as error:
+        return {"found": f"damaged ({_text(error)})"}
+    except MemoryError:
+        return {"found": "damaged (it needs more memory than allowed)"}
 
 
 def _attribute(file: h5py.File, name: str) -> dict[str, Any]:
@@ -98,32 +114,54 @@ def _attribute(file: h5py.File, name: str) -> dict[str, Any]:
     value = file.attrs[name]
     if isinstance(value, h5py.Empty):
         return {"found": "empty"}
-    value = value.decode(errors="replace") if isinstance(value, bytes) else value
-    return {"value": value.item() if isinstance(value, np.generic) else str(value)}
+    if kind == h5py.h5t.STRING:
+        value = value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+        return {"value": value} if len(value) <= MAX_ATTRIBUTE_BYTES else {"found": f"{len(value)} characters"}
+    return {"value": int(value) if kind == h5py.h5t.INTEGER else float(value)}
 
 
 def _dataset(file: h5py.File, name: str) -> dict[str, Any]:
     """Return what a data set is, without reading it; `found` says why it is none that could be read."""
-    link = file.get(name, getlink=True)
-    if isinstance(link, h5py.ExternalLink):
-        return {"found": f"a link into another file, {link.filename!r}"}
-    if not isinstance(link, h5py.HardLink):
-        return {"found": f"a soft link to {getattr(link, 'path', '?')!r}"}
+    found = _not_here(file, name)
+    if found:
+        return {"found": found}
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset):
         return {"found": "a group" if isinstance(dataset, h5py.Group) else "a named type"}
-    kind = dataset.id.get_type().get_class()
-    if kind not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT):
-        return {"found": f"a data set of {_KINDS.get(kind, 'an unknown type')}"}
     plist = dataset.id.get_create_plist()
+    found = _not_numbers(dataset, plist)
+    if found:
+        return {"found": found}
     return {
         "shape": dataset.shape,
         "dtype": dataset.dtype.newbyteorder("<").str,
-        "virtual": bool(dataset.is_virtual),
-        "external": bool(dataset.external),
         "filters": [int(plist.get_filter(i)[0]) for i in range(plist.get_nfilters())],
         "chunk_bytes": int(np.prod(dataset.chunks, dtype=object)) * dataset.dtype.itemsize if dataset.chunks else 0,
     }
+
+
+def _not_here(file: h5py.File, name: str) -> str:
+    """Return what a name is if it is no object at the root of this file; else nothing."""
+    if "/" in name:  # only in a forged file; HDF5 takes it for a path, which may lead out of the file
+        return "a name with a slash"
+    link = file.get(name, getlink=True)
+    if isinstance(link, h5py.ExternalLink):
+        return f"a link into another file, {link.filename[:MAX_TEXT]!r}"
+    if not isinstance(link, h5py.HardLink):
+        return f"a soft link to {getattr(link, 'path', '?')[:MAX_TEXT]!r}"
+    return ""
+
+
+def _not_numbers(dataset: h5py.Dataset, plist: Any) -> str:
+    """Return what a data set holds if not numbers in this file; else nothing."""
+    if plist.get_layout() == h5py.h5d.VIRTUAL:  # before its shape is asked for: HDF5 may look for that in other files
+        return "a virtual data set"
+    if plist.get_external_count():
+        return "a data set in external storage"
+    kind = dataset.id.get_type().get_class()
+    if kind not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT):
+        return f"a data set of {_KINDS.get(kind, 'an unknown type')}"
+    return "" if dataset.shape is not None else "a data set without values"
 
 
 def _answer(header: dict[str, Any], data: Any = b"") -> None:
@@ -133,12 +171,25 @@ def _answer(header: dict[str, Any], data: Any = b"") -> None:
     sys.stdout.buffer.flush()
 
 
-def _limit_memory(memory_bytes: int) -> None:
+def _text(error: BaseException) -> str:
+    """Return HDF5's words, in which names from the file occur as they are, short and safe for a terminal."""
+    text = str(error)
+    shown = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[:MAX_TEXT])
+    return shown + ("..." if len(text) > MAX_TEXT else "")
+
+
+def _limit(memory_bytes: int) -> None:
+    """Take from this process what a file that is read by the rules does not need."""
     if sys.platform == "linux":
         import resource  # noqa: PLC0415 - is not everywhere
 
+        next_descriptor = os.open(os.devnull, os.O_RDONLY)
+        os.close(next_descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (next_descriptor + 1, next_descriptor + 1))
         resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if hasattr(signal, "SIGALRM"):
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
 
 def _allow(seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""The metrics, one pure function an equation, each about one image. docs/metrics.md defines them without a gap.
+"""The metrics, one pure function an equation, about single images. docs/metrics.md defines them without a gap.
 
 Averages over images, and their intervals, are `averages.py`.
 """
@@ -21,25 +21,27 @@ def recall_and_precision_errors(symmetry_set: Rotations, hypotheses: Rotations) 
     """Return how far each member is from the nearest hypothesis (eq. 5.5), and each hypothesis from the set (eq. 5.8).
 
     Args:
-        symmetry_set: (k, 3, 3) R_m2c.
-        hypotheses: (M, 3, 3) R_m2c.
+        symmetry_set: (..., k, 3, 3) R_m2c, of one image or of several with as many members each.
+        hypotheses: (..., M, 3, 3) R_m2c.
 
     Returns:
-        (k,) and (M,) angles in rad.
+        (..., k) and (..., M) angles in rad.
     """
     return nearest_angles_both_ways(symmetry_set, hypotheses)
 
 
 def mean_error(errors_rad: Angles, weights: npt.NDArray[np.float64] | None = None) -> float:
     """Return the mean of angular errors, an image's share of eq. 5.7, or of eq. 5.9 with hypothesis weights."""
-    return float(np.average(errors_rad, weights=weights))
+    return float(errors_rad.mean() if weights is None else weights @ errors_rad / weights.sum())
 
 
 def share_within(
     errors_rad: Angles, thresholds_rad: npt.NDArray[np.float64], weights: npt.NDArray[np.float64] | None = None
 ) -> Ratios:
     """Return which share of the errors is at most each threshold: coverage of members, accuracy of hypotheses."""
-    return np.average(errors_rad[None] <= thresholds_rad[:, None], axis=1, weights=weights)
+    if weights is None:
+        return np.searchsorted(np.sort(errors_rad), thresholds_rad, side="right") / len(errors_rad)
+    return (errors_rad <= thresholds_rad[:, None]) @ weights / weights.sum()
 
 
 def harmonic_mean(coverage: Ratios, accuracy: Ratios) -> Ratios:

@@ -1,7 +1,7 @@
 """The nearest rotations of a finite set, exactly, and of a set that stands for arcs of circles.
 
-The nearest is chosen by the squared Frobenius distance in float64, which one matrix product gives for all pairs;
-the angle to it is then computed by eq. 5.6.
+One matrix product gives the squared Frobenius distances of all pairs in float64, and eq. 5.6 the angle of the
+smallest. Where rounding would show in it, the differences are formed entry by entry.
 """
 
 from dataclasses import dataclass
@@ -12,45 +12,52 @@ import numpy.typing as npt
 from symsol_annot.so3 import Angles, Rotations, angle_between, left_cosets, rotations_about
 
 CONTINUOUS_CIRCLE_ORDER = 360  # a circle of steps of 1 degree or less stands for a continuous one
-_CLOSE_SQUARED = 1e-9  # below, the product's rounding (1e-15) could choose the wrong one of two
+_CLOSE_SQUARED = 1e-4  # 0.4 degrees; from there on the product's rounding is under 1e-13 rad
 _PAIRS_AT_ONCE = 2**21
 
 
 def nearest_angles(R_a: Rotations, R_b: Rotations) -> Angles:
     """Return, for each of R_a (a, 3, 3), the angle (a,) in rad to the nearest of R_b (b, 3, 3)."""
     step = max(1, _PAIRS_AT_ONCE // len(R_b))
-    parts = []
-    for start in range(0, len(R_a), step):
-        part = R_a[start : start + step]
-        parts.append(_chosen_angles(part, R_b, _squared_distances(part, R_b)))
-    return np.concatenate(parts)
+    parts = [R_a[start : start + step] for start in range(0, len(R_a), step)]
+    return np.concatenate([_angles(part, R_b, _squared_distances(part, R_b).min(axis=1)) for part in parts])
 
 
 def nearest_angles_both_ways(R_a: Rotations, R_b: Rotations) -> tuple[Angles, Angles]:
-    """Return the angles (a,) from each of R_a (a, 3, 3) to the nearest of R_b (b, 3, 3), and those (b,) back."""
-    squared = _squared_distances(R_a, R_b)
-    return _chosen_angles(R_a, R_b, squared), _chosen_angles(R_b, R_a, squared.T)
+    """Return the angles from each of R_a to the nearest of R_b, and those back.
+
+    Args:
+        R_a: (..., a, 3, 3) rotations, of any number of images.
+        R_b: (..., b, 3, 3) rotations of as many.
+
+    Returns:
+        (..., a) and (..., b) angles in rad.
+    """
+    squared = _squared_distances(R_b, R_a)  # the longer axis last, where taking minima is fast
+    return _angles(R_a, R_b, squared.min(axis=-2)), _angles(R_b, R_a, squared.min(axis=-1))
 
 
 def _squared_distances(R_a: Rotations, R_b: Rotations) -> npt.NDArray[np.float64]:
-    """Return |A - B|^2 = |A|^2 + |B|^2 - 2 <A, B> for all pairs (a, b), with an error of about 1e-15."""
-    a, b = R_a.reshape(-1, 9), R_b.reshape(-1, 9)
-    left, right = np.empty((len(a), 11)), np.empty((len(b), 11))
-    left[:, :9], right[:, :9] = a, -2.0 * b
-    left[:, 9], right[:, 9] = 1.0, np.einsum("ij,ij->i", b, b)
-    left[:, 10], right[:, 10] = np.einsum("ij,ij->i", a, a), 1.0
-    squared: npt.NDArray[np.float64] = left @ right.T
+    """Return |A - B|^2 = |A|^2 + |B|^2 - 2 <A, B> for all pairs (..., a, b), with an error of a few 1e-15."""
+    a, b = R_a.reshape(*R_a.shape[:-2], 9), R_b.reshape(*R_b.shape[:-2], 9)
+    squared: npt.NDArray[np.float64] = (-2.0 * a) @ np.swapaxes(b, -1, -2)
+    squared += np.einsum("...i,...i->...", b, b)[..., None, :]
+    squared += np.einsum("...i,...i->...", a, a)[..., None]
     return squared
 
 
-def _chosen_angles(R_a: Rotations, R_b: Rotations, squared: npt.NDArray[np.float64]) -> Angles:
-    chosen = squared.argmin(axis=1)
-    angles = angle_between(R_a, R_b[chosen])
-    close = np.flatnonzero(angles * angles < 2.0 * _CLOSE_SQUARED)
-    step = max(1, _PAIRS_AT_ONCE // (9 * len(R_b)))
-    for start in range(0, len(close), step):
-        rows = close[start : start + step]
-        angles[rows] = angle_between(R_a[rows, None], R_b[None]).min(axis=1)
+def _angles(R_a: Rotations, R_b: Rotations, squared: npt.NDArray[np.float64]) -> Angles:
+    """Return eq. 5.6 of the smallest squared distances (..., a).
+
+    For close rotations they are formed again from differences, entry by entry, which loses nothing to rounding.
+    """
+    squared = np.maximum(squared, 0.0)
+    close = np.nonzero(squared < _CLOSE_SQUARED)
+    step = max(1, _PAIRS_AT_ONCE // (9 * R_b.shape[-3]))
+    for start in range(0, len(close[0]), step):
+        at = tuple(axis[start : start + step] for axis in close)
+        squared[at] = np.square(R_a[at][:, None] - R_b[at[:-1]]).sum(axis=(-2, -1)).min(axis=-1)
+    angles: Angles = 2.0 * np.arcsin(np.minimum(np.sqrt(squared) / (2.0 * np.sqrt(2.0)), 1.0))
     return angles
 
 
@@ -88,7 +95,9 @@ def find_circles(group: Rotations) -> Circles | None:
     return Circles(axis, group[index[:, 0]], index)
 
 
-def angles_to_arcs(circles: Circles, R: Rotations, mask: npt.NDArray[np.bool_], R_other: Rotations) -> Angles:
+def angles_to_arcs(
+    circles: Circles, R: Rotations, mask: npt.NDArray[np.bool_], R_other: Rotations, to_members: Angles
+) -> Angles:
     """Return the angles (m,) in rad from R_other (m, 3, 3) to the arcs that join neighbouring members R g of a set.
 
     Where the nearest point of a whole circle lies between two members, the angle is to that point; elsewhere the
@@ -99,16 +108,18 @@ def angles_to_arcs(circles: Circles, R: Rotations, mask: npt.NDArray[np.bool_], 
         R: (3, 3) the image's rotation.
         mask: (G,) which g of the group are in the set.
         R_other: what the angles are from.
+        to_members: (m,) the angles to the nearest members.
     """
-    angles = nearest_angles(R_other, R @ _elements(circles)[mask])
-    starts = R @ circles.starts
+    starts, steps = R @ circles.starts, circles.index.shape[1]
     turn = _turns_to_nearest(circles, starts, R_other)  # (m, c)
-    before = np.floor(turn).astype(int) % circles.index.shape[1]
-    after = (before + 1) % circles.index.shape[1]
-    for c, row in enumerate(circles.index):
-        on_arc = mask[row[before[:, c]]] & mask[row[after[:, c]]]
-        points = starts[c] @ rotations_about(circles.axis, turn[:, c] * circles.step_rad)
-        angles = np.where(on_arc, np.minimum(angles, angle_between(points, R_other)), angles)
+    before = turn.astype(int) % steps
+    on_circle = mask[circles.index]
+    every = np.arange(len(starts))
+    on_arc = on_circle[every, before] & on_circle[every, (before + 1) % steps]
+    m, c = np.nonzero(on_arc)
+    points = starts[c] @ rotations_about(circles.axis, turn[m, c] * circles.step_rad)
+    angles = to_members.copy()
+    np.minimum.at(angles, m, angle_between(points, R_other[m]))
     return angles
 
 
@@ -130,14 +141,6 @@ def nearest_angles_on_circles(
                 members = starts[c] @ rotations_about(circles.axis, np.arange(len(row)) * circles.step_rad)
                 np.minimum(best, angle_between(R_other, members[element]), out=best)
     return best
-
-
-def _elements(circles: Circles) -> Rotations:
-    """Return the group in its own order."""
-    turns = rotations_about(circles.axis, np.arange(circles.index.shape[1]) * circles.step_rad)
-    group = np.empty((circles.index.size, 3, 3))
-    group[circles.index] = circles.starts[:, None] @ turns
-    return group
 
 
 def _turns_to_nearest(circles: Circles, starts: Rotations, R_other: Rotations) -> npt.NDArray[np.float64]:

@@ -3,11 +3,12 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from symsol_annot.bench.faults import FaultLog
 from symsol_annot.bench.format import FILE_ATTRIBUTES, PREDICTIONS_FORMAT, TRACKS
 from symsol_annot.bench.sandbox import SandboxedFile
-from symsol_annot.bench.structure import Structure
+from symsol_annot.bench.structure import Structure, shown
 from symsol_annot.bench.tracks import (
     ClassifierBlock,
     ClassifierTrack,
@@ -20,6 +21,8 @@ from symsol_annot.bench.tracks import (
 from symsol_annot.bench.truth import Truth, read_truth
 from symsol_annot.errors import PredictionsError
 from symsol_annot.manifest import SPLITS
+
+MAX_NAME = 200  # characters of a method's or an object's name
 
 _TRACKS: dict[str, type[HypothesesTrack | ClassifierTrack | DensityTrack]] = {
     track.name: track for track in (HypothesesTrack, ClassifierTrack, DensityTrack)
@@ -41,6 +44,9 @@ class Predictions:
         structure = Structure(file, truth, self.faults)
         structure.has_attributes(FILE_ATTRIBUTES, "the file")
         self.method = str(file.attributes.get("method", ""))
+        if not self.method.isprintable() or len(self.method) > MAX_NAME:
+            fault = f"expected at most {MAX_NAME} printable characters, found {shown(self.method)}"
+            self.faults.add("the file", f"attribute 'method': {fault}")
         self._image_index = structure.image_index
         there = [name for name, datasets in TRACKS.items() if any(structure.has(dataset) for dataset in datasets)]
         if not there:
@@ -62,8 +68,13 @@ class Predictions:
 
     def blocks(self, track: Track) -> Iterator[HypothesesBlock | ClassifierBlock | DensityBlock]:
         """Yield a track's images in blocks of bounded size, without those that have a fault."""
-        if self._image_index is not None:
+        if self._image_index is None:
+            return
+        try:
             yield from track.blocks(self._image_index)
+        except PredictionsError as error:  # reading failed: what was found before, and in other tracks, counts too
+            for fault in error.faults:
+                self.faults.add("the file", fault)
 
     def raise_faults(self) -> None:
         """Raise the faults that were found so far, if there are any."""
@@ -91,13 +102,19 @@ def _subject(file: SandboxedFile) -> tuple[str, str]:
     """Return the object and the split that a file says it is about."""
     found = file.attributes
     name, split = found.get("object"), found.get("split")
-    is_name = isinstance(name, str) and name.isprintable() and not set(name) & set("/\\") and name.strip(". ")
     if found.get("format") != PREDICTIONS_FORMAT:
-        fault = f"attribute 'format': expected {PREDICTIONS_FORMAT!r}, found {found.get('format')!r}"
-    elif not is_name:
-        fault = f"attribute 'object': expected the name of an object, found {name!r}"
+        fault = f"attribute 'format': expected {PREDICTIONS_FORMAT!r}, found {shown(found.get('format'))}"
+    elif not _is_name(name):
+        fault = f"attribute 'object': expected the name of an object, found {shown(name)}"
     elif split not in SPLITS:
-        fault = f"attribute 'split': expected one of {', '.join(SPLITS)}, found {split!r}"
+        fault = f"attribute 'split': expected one of {', '.join(SPLITS)}, found {shown(split)}"
     else:
         return str(name), str(split)
     raise PredictionsError(str(file.path), [f"the file: {fault}"])
+
+
+def _is_name(name: Any) -> bool:
+    """Tell whether this can be the name of an object, and so of its set's folder."""
+    if not isinstance(name, str) or not name.isprintable() or len(name.encode()) > MAX_NAME:
+        return False
+    return bool(name.strip(". ")) and not set(name) & set("/\\")

@@ -58,6 +58,11 @@ class Queries:
         in_order[order] = probability
         return in_order.reshape(1 + DECOY_COSETS, -1)
 
+    def shuffle(self, image_index: int, in_order: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Undo `unshuffle`: from (9, G) to the order (Q,) in which the image's queries are asked."""
+        _, order = self._draw(image_index)
+        return in_order.reshape(-1)[order]
+
     def _draw(self, image_index: int) -> tuple[Rotations, npt.NDArray[np.intp]]:
         key = f"symsol-annot queries {QUERIES_VERSION}/{self.fingerprint}/{image_index}"
         stream = hashlib.shake_256(key.encode()).digest(8 * (3 * DECOY_COSETS + len(self)))

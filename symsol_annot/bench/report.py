@@ -5,6 +5,7 @@ import io
 import json
 import math
 import re
+import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -179,6 +180,8 @@ def _object_tables(method: str, name: str, entry: dict[str, Any]) -> str:
     for track in TABLE:
         if track in entry:
             lines += ["", *_track_table(track, entry)]
+    if len(entry["strata"]) > 1 and ("hypotheses" in entry or "classifier" in entry):
+        lines += ["", *F_NOTE.splitlines()]
     return "\n".join(lines)
 
 
@@ -193,9 +196,7 @@ def _track_table(track: str, entry: dict[str, Any]) -> list[str]:
     lines = aligned(rows)
     if track == "classifier":
         lines += [f"  p > {scores['threshold']}, grid of level {scores['grid_level']}; the sweep is in --json"]
-    if len(strata) > 1 and track != "density":
-        lines += F_NOTE.splitlines()
-    return lines + [f"WARNING: {warning}" for warning in scores["warnings"]]
+    return lines + [line for warning in scores["warnings"] for line in textwrap.wrap(f"WARNING: {warning}", 116)]
 
 
 def _cell(figure: dict[str, Any]) -> str:

@@ -26,10 +26,10 @@ class DatasetFacts:
     """What a name at the file's root is, known without reading it.
 
     Attributes:
-        found: why it cannot be read: a link, a group, a type; None where it can. The rest is then meaningless.
+        found: why it cannot be read: a link, a group, a type, values in other files; None where it can. The rest is
+            then meaningless.
         shape: of the data set.
         dtype: numpy's name of its type.
-        is_elsewhere: whether its values are outside the file (external storage, a virtual data set).
         filters: the HDF5 numbers of its filters.
         chunk_bytes: the size of one chunk, 0 for a contiguous data set.
     """
@@ -37,7 +37,6 @@ class DatasetFacts:
     found: str | None
     shape: tuple[int, ...] = ()
     dtype: str = ""
-    is_elsewhere: bool = False
     filters: tuple[int, ...] = ()
     chunk_bytes: int = 0
 
@@ -47,8 +46,12 @@ class SandboxedFile:
 
     def __init__(self, path: Path, seconds: float = SECONDS_PER_REQUEST, memory_bytes: int = MEMORY_BYTES) -> None:
         self.path, self._seconds = path, seconds
-        if not path.is_file():
-            raise PredictionsError(str(path), ["is no regular file" if path.exists() else "there is no such file"])
+        try:
+            missing = None if path.is_file() else "is no regular file" if path.exists() else "there is no such file"
+        except OSError as error:
+            missing = f"cannot be opened: {error.strerror}"
+        if missing:
+            raise PredictionsError(str(path), [missing])
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(_CHILD), str(path.resolve()), str(seconds), str(memory_bytes)],
             stdin=subprocess.PIPE,
@@ -58,6 +61,7 @@ class SandboxedFile:
             start_new_session=True,  # Ctrl-C is the parent's to handle
         )
         self._described: dict[str, Any] | None = None
+        self._end: PredictionsError | None = None  # of the process, if it met one
 
     @property
     def attributes(self) -> dict[str, Any]:
@@ -80,10 +84,14 @@ class SandboxedFile:
         Raises:
             PredictionsError: it is damaged, or reading it crashed or took too long.
         """
-        _ = self._description
+        if self._end:
+            raise self._end
+        facts = self.datasets[dataset]
+        shape = (stop - start, *facts.shape[1:])
         header = self._exchange({"dataset": dataset, "start": start, "stop": stop}, f"{dataset!r}")
-        shape, dtype = tuple(header["shape"]), np.dtype(header["dtype"])
-        rows = np.empty(shape, dtype)
+        if header != {"dtype": facts.dtype, "shape": list(shape)}:
+            raise PredictionsError(str(self.path), [f"{dataset!r}: it changed while it was read, or is damaged"])
+        rows = np.empty(shape, facts.dtype)
         if rows.size:
             self._receive_into(rows.data.cast("B"), f"{dataset!r}")
         return rows
@@ -152,7 +160,8 @@ class SandboxedFile:
             how = f"the HDF5 library crashed on it ({signal.Signals(-code).name}); the file is damaged"
         else:
             how = f"the HDF5 library gave up on it (exit code {code}); the file is damaged, or wants too much memory"
-        return PredictionsError(str(self.path), [f"{what}: {how}"])
+        self._end = PredictionsError(str(self.path), [f"{what}: {how}"])
+        return self._end
 
 
 def _facts(entry: dict[str, Any]) -> DatasetFacts:
@@ -160,9 +169,8 @@ def _facts(entry: dict[str, Any]) -> DatasetFacts:
         return DatasetFacts(entry["found"])
     return DatasetFacts(
         None,
-        tuple(entry["shape"] or ()),
+        tuple(entry["shape"]),
         entry["dtype"],
-        entry["virtual"] or entry["external"],
         tuple(entry["filters"]),
         entry["chunk_bytes"],
     )

@@ -29,6 +29,10 @@ HARD_NEGATIVE_RAD = float(np.radians(5.0)) + 1e-9  # five steps of the lattice a
 _MANY_MEMBERS = 24  # from where the circles are faster than all pairs
 _DECOY_FACTOR, _DECOY_SLACK = 3.0, 0.01
 
+_PAIRS_AT_ONCE = 2**20
+
+Indices = npt.NDArray[np.int64]
+Weights = npt.NDArray[np.float64]
 Row = dict[str, tuple[float, float]]  # metric to value and weight
 Facts = dict[str, float | int]
 Warnings = tuple[str, ...]
@@ -43,31 +47,52 @@ class HypothesesScorer:
         self.name = f"hypotheses (M = {track.count})"
         self.facts: Facts = {"M": track.count}
 
-    def score_image(self, block: HypothesesBlock, r: int) -> Row:
-        """Return the figures of row r."""
-        i = int(block.image_index[r])
-        hypotheses, weights = block.hypotheses[r], None
-        if block.weights is not None:
-            is_there = block.weights[r] > 0
-            hypotheses, weights = hypotheses[is_there], block.weights[r][is_there]
-        members = self._truth.labels.symmetry_set(i)
-        recall_errors, precision_errors = metrics.recall_and_precision_errors(members, hypotheses)
+    def score_block(self, block: HypothesesBlock) -> list[Row]:
+        """Return the figures of each image."""
+        if block.weights is not None:  # a hypothesis of weight 0 is absent, so that images differ in their counts
+            rows = zip(block.image_index, block.hypotheses, block.weights, strict=True)
+            return [self._score_image(int(i), h[w > 0], w[w > 0]) for i, h, w in rows]
+        errors = self.errors(block.image_index, block.hypotheses)
+        rows = zip(block.image_index, block.hypotheses, errors, strict=True)
+        return [self._figures(int(i), h, None, *error) for i, h, error in rows]
+
+    def _score_image(self, i: int, hypotheses: Rotations, weights: Weights) -> Row:
+        errors = metrics.recall_and_precision_errors(self._truth.labels.symmetry_set(i), hypotheses)
+        return self._figures(i, hypotheses, weights, *errors)
+
+    def errors(self, image_index: Indices, hypotheses: Rotations) -> list[tuple[Angles, Angles]]:
+        """Return both kinds of errors of each image; images with sets of one size go together, which is faster."""
+        errors: list[tuple[Angles, Angles]] = [(np.zeros(0), np.zeros(0))] * len(image_index)
+        sizes = self._truth.set_sizes[image_index]
+        for size in np.unique(sizes):
+            (alike,) = np.nonzero(sizes == size)
+            step = max(1, _PAIRS_AT_ONCE // (int(size) * hypotheses.shape[1]))
+            for rows in (alike[start : start + step] for start in range(0, len(alike), step)):
+                sets = np.stack([self._truth.labels.symmetry_set(i) for i in image_index[rows]])
+                both = metrics.recall_and_precision_errors(sets, hypotheses[rows])
+                for row, *error in zip(rows, *both, strict=True):
+                    errors[row] = (error[0], error[1])
+        return errors
+
+    def _figures(
+        self, i: int, hypotheses: Rotations, weights: Weights | None, recall_errors: Angles, precision_errors: Angles
+    ) -> Row:
         coverage = metrics.share_within(recall_errors, self._thresholds_rad)
         accuracy = metrics.share_within(precision_errors, self._thresholds_rad, weights)
         f_measure = metrics.harmonic_mean(coverage, accuracy)
         recall_error = metrics.mean_error(recall_errors)
         row: Row = {
-            "recall_mean_error_rad": (recall_error, len(members)),
+            "recall_mean_error_rad": (recall_error, len(recall_errors)),
             "recall_mean_error_image_mean_rad": (recall_error, 1),
             "precision_mean_error_rad": (metrics.mean_error(precision_errors, weights), 1),
         }
         if self._truth.circles:
             mask = self._truth.labels.symmetry_mask[i]
-            to_arcs = angles_to_arcs(self._truth.circles, self._truth.labels.rotation[i], mask, hypotheses)
-            to_set = np.minimum(precision_errors, to_arcs)
-            row["precision_mean_error_continuous_rad"] = (metrics.mean_error(to_set, weights), 1)
+            R_gt = self._truth.labels.rotation[i]
+            to_arcs = angles_to_arcs(self._truth.circles, R_gt, mask, hypotheses, precision_errors)
+            row["precision_mean_error_continuous_rad"] = (metrics.mean_error(to_arcs, weights), 1)
         for t, degrees in enumerate(ANGLES_DEG):
-            row[f"coverage_at_{degrees}_deg"] = (coverage[t], len(members))
+            row[f"coverage_at_{degrees}_deg"] = (coverage[t], len(recall_errors))
             row[f"coverage_image_mean_at_{degrees}_deg"] = (coverage[t], 1)
             row[f"accuracy_at_{degrees}_deg"] = (accuracy[t], 1)
             row[f"f_measure_at_{degrees}_deg"] = (f_measure[t], 1)
@@ -95,8 +120,11 @@ class ClassifierScorer:
     def _grid(self) -> GridIndex:
         return GridIndex(self._level)
 
-    def score_image(self, block: ClassifierBlock, r: int) -> Row:
-        """Return the figures of row r."""
+    def score_block(self, block: ClassifierBlock) -> list[Row]:
+        """Return the figures of each image."""
+        return [self._score_image(block, r) for r in range(len(block.image_index))]
+
+    def _score_image(self, block: ClassifierBlock, r: int) -> Row:
         i = int(block.image_index[r])
         mask = self._truth.labels.symmetry_mask[i]
         asked = self._queries.unshuffle(i, block.query_probability[r])
@@ -159,8 +187,11 @@ class DensityScorer:
     def _grid(self) -> GridIndex:
         return GridIndex(self._level)
 
-    def score_image(self, block: DensityBlock, r: int) -> Row:
-        """Return the figures of row r."""
+    def score_block(self, block: DensityBlock) -> list[Row]:
+        """Return the figures of each image."""
+        return [self._score_image(block, r) for r in range(len(block.image_index))]
+
+    def _score_image(self, block: DensityBlock, r: int) -> Row:
         i, size, labels = int(block.image_index[r]), len(self._grid), self._truth.labels
         members = labels.symmetry_set(i)
         indices, log_probability = block.on_grid.row(r)

@@ -92,7 +92,7 @@ def _per_image(track: Track, predictions: Predictions, on_images: OnImages) -> t
     for block in predictions.blocks(track):
         count = len(block.image_index)
         if not predictions.faults:
-            parts.append(_table(block.image_index, [scorer.score_image(block, r) for r in range(count)]))
+            parts.append(table_of(block.image_index, scorer.score_block(block)))
         on_images(count)
     return scorer, merge(parts)
 
@@ -108,7 +108,8 @@ def scorer_of(track: Track, truth: Truth) -> Scorer:
             return DensityScorer(track, truth)
 
 
-def _table(image_index: npt.NDArray[np.int64], rows: list[Row]) -> PerImage:
+def table_of(image_index: npt.NDArray[np.int64], rows: list[Row]) -> PerImage:
+    """Return one image's figures after another's as columns."""
     names = list(rows[0])
     columns = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in names}
     return PerImage(

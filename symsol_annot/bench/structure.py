@@ -1,5 +1,6 @@
 """What a predictions file holds, checked before anything in it is read: names, types, shapes, sizes, filters."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,12 @@ from symsol_annot.bench.format import (
 from symsol_annot.bench.queries import group_sha256
 from symsol_annot.bench.sandbox import DatasetFacts, SandboxedFile
 from symsol_annot.bench.truth import Truth
+from symsol_annot.errors import PredictionsError
 from symsol_annot.grid import grid_sha256
 
+_MAX_EXPANSION = 1100  # gzip's is 1032; what is larger was never written
+_FREE_BYTES = 2**26  # of such a data set
+_SHOWN_CHARACTERS = 100
 _WORDS = {str: "a string", int: "a whole number", float: "a number"}
 _ADVICE = {
     "fingerprint": "; the file is about another data set, or another version of it",
@@ -29,6 +34,11 @@ _ADVICE = {
     "grid_sha256": "; the grid is another one, or in another order",
     "object": "; --data names a set of another object",
 }
+
+
+def shown(value: Any) -> str:
+    """Return a stranger's value for a message: in quotes, with control characters escaped, and short."""
+    return repr(value) if len(repr(value)) <= _SHOWN_CHARACTERS else f"{repr(value)[:_SHOWN_CHARACTERS]}..."
 
 
 class Structure:
@@ -43,6 +53,7 @@ class Structure:
 
     def __init__(self, file: SandboxedFile, truth: Truth, faults: FaultLog) -> None:
         self.file, self.truth, self.faults = file, truth, faults
+        self._file_bytes = file.path.stat().st_size
         self._facts = {name: facts for name, facts in file.datasets.items() if self._is_readable(name, facts)}
         self.image_index = self._read_image_index()
 
@@ -59,6 +70,20 @@ class Structure:
         """Return what a data set is that was found to be readable."""
         return self._facts[name]
 
+    def read_integers(self, name: str) -> npt.NDArray[np.int64] | None:
+        """Return a whole data set; None where it cannot be read, which is a fault."""
+        try:
+            return self.file.read(name, 0, self._facts[name].shape[0]).astype(np.int64)
+        except PredictionsError as error:
+            for fault in error.faults:
+                self.faults.add("the file", fault)
+            return None
+
+    def read_reals(self, name: str, start: int, stop: int) -> npt.NDArray[np.float64]:
+        """Return rows of a data set as f8, whatever is in them."""
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            return self.file.read(name, start, stop).astype(np.float64)
+
     def has_attributes(self, expected: dict[str, type], track: str) -> bool:
         """Check that attributes are there, of their types, and say what the truth says."""
         found, before = self.file.attributes, len(self.faults)
@@ -68,11 +93,11 @@ class Structure:
                 reason = f"is not {_WORDS[kind]} but {odd}" if odd else f"is missing; it is {_WORDS[kind]}"
                 self.faults.add(track, f"attribute {name!r} {reason}")
             elif not isinstance(value, int | float if kind is float else kind):
-                self.faults.add(track, f"attribute {name!r}: expected {_WORDS[kind]}, found {value!r}")
+                self.faults.add(track, f"attribute {name!r}: expected {_WORDS[kind]}, found {shown(value)}")
         for name, right in self._right_attributes().items():
             if name in expected and name in found and found[name] != right:
                 advice = _ADVICE.get(name, "")
-                self.faults.add(track, f"attribute {name!r}: expected {right!r}, found {found[name]!r}{advice}")
+                self.faults.add(track, f"attribute {name!r}: expected {right!r}, found {shown(found[name])}{advice}")
         return len(self.faults) == before
 
     def is_shaped(self, name: str, types: tuple[str, ...], shape: tuple[int | str, ...]) -> bool:
@@ -86,13 +111,22 @@ class Structure:
             isinstance(want, str) or have == want for have, want in zip(facts.shape, shape, strict=True)
         )
         if facts.dtype in types and fits:
-            return True
+            return self._is_contained(name, facts)
         wanted = f"{' or '.join(t[1:] for t in types)} of shape ({', '.join(map(str, shape))})"
         found = f"{facts.dtype[1:]} of shape {facts.shape}"
         hint = ""
         if name == "hypotheses" and facts.shape[-1:] == (4,):
             hint = "; these look like quaternions, where 3x3 rotation matrices belong"
         self.faults.add(track_of(name), f"{name!r}: expected {wanted}, found {found}{hint}")
+        return False
+
+    def _is_contained(self, name: str, facts: DatasetFacts) -> bool:
+        """Check that a data set's bytes can have come from the file, so that work is bounded by the file's size."""
+        size = math.prod(facts.shape) * np.dtype(facts.dtype).itemsize
+        if size <= _FREE_BYTES + _MAX_EXPANSION * self._file_bytes:
+            return True
+        found = f"of shape {facts.shape} holds {size / 2**30:.3g} GiB, but the file is one of {self._file_bytes} bytes"
+        self.faults.add(track_of(name), f"{name!r} {found}: most of it was never written")
         return False
 
     def _right_attributes(self) -> dict[str, Any]:
@@ -114,16 +148,12 @@ class Structure:
             reason = "is not part of the format"
         elif facts.found:
             reason = f"is {facts.found}, where a data set of numbers in this file belongs"
-        elif facts.is_elsewhere:
-            reason = (
-                "takes its values from elsewhere (external storage or a virtual data set); copy them into this file"
-            )
         elif foreign:
             reason = f"is stored with HDF5's filter {', '.join(foreign)}; use {', '.join(FILTERS.values())} only"
         elif facts.chunk_bytes > MAX_CHUNK_BYTES:
             reason = f"has chunks of {facts.chunk_bytes / 2**20:.0f} MiB; at most {MAX_CHUNK_BYTES >> 20} are read"
         if reason:
-            self.faults.add(track_of(name), f"{name!r} {reason}")
+            self.faults.add(track_of(name), f"{shown(name)} {reason}")
         return not reason
 
     def _read_image_index(self) -> npt.NDArray[np.int64] | None:
@@ -134,7 +164,9 @@ class Structure:
         if count > 2 * expected + 1000:
             self.faults.add("the file", f"has {count} rows; the {split} split has {expected} images")
             return None
-        image_index: npt.NDArray[np.int64] = self.file.read(IMAGE_INDEX, 0, count).astype(np.int64)
+        image_index = self.read_integers(IMAGE_INDEX)
+        if image_index is None:
+            return None
         is_strange = (image_index < 0) | (image_index >= expected)
         seen = np.bincount(image_index[~is_strange], minlength=expected)
         found = {

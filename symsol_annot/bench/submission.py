@@ -9,45 +9,28 @@ A second writer adds its track to the same file. What a callable returned is kep
 until all images are done; the same call goes on from there. A file is put in its place once it passed every check.
 """
 
-import io
-import json
 import os
-import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import h5py
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
-from symsol_annot.bench.format import (
-    FILE_ATTRIBUTES,
-    PREDICTIONS_FORMAT,
-    PREDICTIONS_FORMAT_VERSION,
-    STANDARD_THRESHOLD,
-    TRACKS,
-)
-from symsol_annot.bench.predictions import Predictions
+from symsol_annot.bench.format import STANDARD_THRESHOLD, TRACKS
+from symsol_annot.bench.predictions_file import Array, Column, Parts, PredictionsFile, Rows
 from symsol_annot.bench.queries import Queries, group_sha256
-from symsol_annot.bench.sandbox import SandboxedFile
-from symsol_annot.bench.truth import truth_of
 from symsol_annot.dataset import Dataset
-from symsol_annot.errors import PredictionsError, SettingsError
-from symsol_annot.files import make_folder, output_errors
+from symsol_annot.errors import SettingsError
 from symsol_annot.grid import STANDARD_LEVEL, equivolumetric_grid, grid_sha256
 from symsol_annot.so3 import Rotations, check_rotations
 
-Array: TypeAlias = npt.NDArray[Any]
 PathLike: TypeAlias = str | os.PathLike[str]
-Rows: TypeAlias = dict[str, Array]  # one image's rows, or entries, by data set
 
 DEFAULT_FLOOR = 0.1
 DEFAULT_BATCH = 2**16
 DENSITY_FLOOR = 1e-9
 _UNLISTED_MASS = 1e-12  # what is left to the cells not listed, at the least
-_OFFSETS = {"classifier": "grid_offsets", "density": "density_offsets"}
 
 
 def write_hypotheses(
@@ -75,16 +58,16 @@ def write_hypotheses(
         RotationError: what the callable returned is no rotation.
         PredictionsError: what was to be written has faults, or the file is there and about something else.
     """
-    file = _File(path, dataset, "hypotheses", {"method": method})
+    file = PredictionsFile(Path(path), dataset, "hypotheses", {"method": method})
     if callable(hypotheses):
         ask = hypotheses
         parts = file.collect(lambda i: {"hypotheses": _checked_hypotheses(ask(i), i)}, progress=progress)
-        columns = _padded([part["hypotheses"] for part in parts])
+        columns = _padded(parts.column("hypotheses"))
     else:
-        columns = {"hypotheses": np.asarray(hypotheses)}
+        columns = {"hypotheses": Column.of(np.asarray(hypotheses))}
         if weights is not None:
-            columns["hypothesis_weights"] = np.asarray(weights)
-    file.write(columns, {})
+            columns["hypothesis_weights"] = Column.of(np.asarray(weights))
+    file.write(columns)
 
 
 def write_classifier(
@@ -118,7 +101,7 @@ def write_classifier(
         raise SettingsError(f"floor: expected 0 to {STANDARD_THRESHOLD}, found {floor}")
     attributes = {"grid_level": level, "grid_sha256": grid_sha256(level), "floor": floor}
     attributes["group_sha256"] = group_sha256(dataset.symmetry_group)
-    file = _File(path, dataset, "classifier", {"method": method, **attributes})
+    file = PredictionsFile(Path(path), dataset, "classifier", {"method": method, **attributes})
     grid, queries = equivolumetric_grid(level), Queries(dataset.fingerprint, dataset.symmetry_group)
     rotation = dataset.labels().rotation
 
@@ -132,7 +115,13 @@ def write_classifier(
             "grid_probabilities": on_grid[listed],
         }
 
-    file.write(*_joined(file.collect(ask, progress=progress), ("query_probability",)))
+    parts = file.collect(ask, progress=progress)
+    file.write(
+        {
+            "query_probability": parts.dense("query_probability"),
+            **_sparse(parts, "grid_offsets", "grid_indices", "grid_probabilities"),
+        }
+    )
 
 
 def write_density(
@@ -164,7 +153,7 @@ def write_density(
         PredictionsError: what was to be written has faults, or the file is there and about something else.
     """
     attributes = {"grid_level": level, "grid_sha256": grid_sha256(level)}
-    file = _File(path, dataset, "density", {"method": method, **attributes}, {"floor": floor})
+    file = PredictionsFile(Path(path), dataset, "density", {"method": method, **attributes}, {"floor": floor})
     grid = equivolumetric_grid(level)
 
     def ask(i: int) -> Rows:
@@ -173,7 +162,8 @@ def write_density(
         log_p -= np.log(np.exp(log_p).sum())
         return _listed_density(log_p, floor)
 
-    file.write(*_joined(file.collect(ask, progress=progress), ()))
+    parts = file.collect(ask, progress=progress)
+    file.write(_sparse(parts, "density_offsets", "density_indices", "density_log_probabilities"))
 
 
 def write_columns(
@@ -193,104 +183,8 @@ def write_columns(
     if track == "classifier":
         attributes.setdefault("group_sha256", group_sha256(dataset.symmetry_group))
         attributes.setdefault("floor", DEFAULT_FLOOR)
-    _File(path, dataset, track, {"method": method, **attributes}).write(columns, {})
-
-
-class _File:
-    """A predictions file that is being written: what was collected for it, and how it is put in place."""
-
-    def __init__(
-        self,
-        path: PathLike,
-        dataset: Dataset,
-        track: str,
-        attributes: dict[str, Any],
-        settings: dict[str, Any] | None = None,
-    ) -> None:
-        if len(dataset) != dataset.manifest.images(dataset.split):
-            raise SettingsError(f"{dataset!r} is a slice; predictions are about a whole split")
-        self._path, self._dataset, self._track = Path(path), dataset, track
-        about = {"object": dataset.object, "split": dataset.split, "fingerprint": dataset.fingerprint}
-        self._attributes = {
-            "format": PREDICTIONS_FORMAT,
-            "format_version": PREDICTIONS_FORMAT_VERSION,
-            **about,
-            **attributes,
-        }
-        self._settings = {**self._attributes, **(settings or {})}
-        self._parts = Path(f"{path}.parts") / track
-        self._refuse_another()
-
-    def collect(self, ask: Callable[[int], Rows], *, progress: bool) -> list[Rows]:
-        """Ask about every image that was not asked about before; what is answered is kept."""
-        make_folder(self._parts)
-        self._refuse_other_parts()
-        for i in tqdm(range(len(self._dataset)), unit="image", disable=None if progress else True):
-            part = self._part(i)
-            if not part.exists():
-                _write_part(part, ask(i))
-        return [_read_part(self._part(i)) for i in range(len(self._dataset))]
-
-    def write(self, columns: Mapping[str, Array], offsets: Mapping[str, Array]) -> None:
-        """Write the file beside its name, check all of it, put it in place and forget the parts."""
-        partial = self._path.with_name(f".{self._path.name}.partial")
-        try:
-            with output_errors(self._path), h5py.File(partial, "w", libver=("earliest", "v108")) as file:
-                self._copy_other_tracks(file)
-                file.attrs.update(self._attributes)
-                if "image_index" not in file:
-                    file["image_index"] = np.arange(len(self._dataset), dtype=np.int64)
-                for name, column in {**columns, **offsets}.items():
-                    _create(file, name, column)
-            with SandboxedFile(partial) as written:
-                Predictions(written, truth_of(self._dataset)).check()
-            with output_errors(self._path):
-                partial.replace(self._path)
-        except PredictionsError as error:
-            raise PredictionsError(str(self._path), error.faults) from None
-        finally:
-            partial.unlink(missing_ok=True)
-        shutil.rmtree(self._parts, ignore_errors=True)
-        if self._parts.parent.is_dir() and not any(self._parts.parent.iterdir()):
-            self._parts.parent.rmdir()
-
-    def _copy_other_tracks(self, file: h5py.File) -> None:
-        if self._path.exists():
-            with h5py.File(self._path, "r") as before:
-                file.attrs.update(before.attrs)
-                for name in before:
-                    if name not in TRACKS[self._track]:
-                        before.copy(name, file)
-
-    def _refuse_another(self) -> None:
-        """Refuse to add to a file that is about something else, before anything is asked."""
-        if not self._path.exists():
-            return
-        with SandboxedFile(self._path) as before:
-            found, names = before.attributes, before.datasets
-        shares_grid = any(name in names for track in TRACKS if track != self._track for name in TRACKS[track])
-        compared = [name for name in self._attributes if name in FILE_ATTRIBUTES or (shares_grid and name in found)]
-        differing = [name for name in compared if found.get(name) != self._attributes[name]]
-        if differing:
-            raise PredictionsError(
-                str(self._path),
-                [
-                    f"is there already, with another {name}: {found.get(name)!r}; choose another file"
-                    for name in differing
-                ],
-            )
-
-    def _refuse_other_parts(self) -> None:
-        note, text = self._parts / "settings.json", json.dumps(self._settings, sort_keys=True)
-        if note.exists() and note.read_text() != text:
-            raise PredictionsError(
-                str(self._parts), ["holds the beginning of other predictions; finish those, or delete the folder"]
-            )
-        with output_errors(note):
-            note.write_text(text)
-
-    def _part(self, i: int) -> Path:
-        return self._parts / f"{i:08d}.npz"
+    made = {name: Column.of(np.asarray(column)) for name, column in columns.items()}
+    PredictionsFile(Path(path), dataset, track, {"method": method, **attributes}).write(made)
 
 
 def _checked_hypotheses(returned: Array, i: int) -> Array:
@@ -304,13 +198,25 @@ def _checked_hypotheses(returned: Array, i: int) -> Array:
     return hypotheses
 
 
-def _padded(hypotheses: list[Array]) -> dict[str, Array]:
+def _padded(hypotheses: list[Array]) -> dict[str, Column]:
+    """Return columns in which every image has as many hypotheses, the added ones with weight 0."""
     most = max(len(h) for h in hypotheses)
     rows = np.tile(np.eye(3, dtype=np.result_type(*hypotheses)), (len(hypotheses), most, 1, 1))
     weights = np.zeros((len(hypotheses), most), dtype=np.float32)
     for row, weight, h in zip(rows, weights, hypotheses, strict=True):
         row[: len(h)], weight[: len(h)] = h, 1.0
-    return {"hypotheses": rows} if weights.all() else {"hypotheses": rows, "hypothesis_weights": weights}
+    columns = {"hypotheses": Column.of(rows)}
+    return columns if weights.all() else {**columns, "hypothesis_weights": Column.of(weights)}
+
+
+def _sparse(parts: Parts, offsets: str, indices: str, values: str) -> dict[str, Column]:
+    lengths = parts.lengths(indices)
+    bounds = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    return {
+        offsets: Column.of(bounds),
+        indices: parts.sparse(indices, lengths),
+        values: parts.sparse(values, lengths),
+    }
 
 
 def _ask(
@@ -335,43 +241,3 @@ def _listed_density(log_p: npt.NDArray[np.float64], floor: float) -> Rows:
         mass = np.exp(kept).sum()
         kept = kept - max(0.0, np.log(mass) - np.log1p(-_UNLISTED_MASS)) if mass > 0 else kept
     return {"density_indices": listed.astype(np.int32), "density_log_probabilities": np.minimum(kept, 0.0)}
-
-
-def _joined(parts: list[Rows], dense: tuple[str, ...]) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return the columns of all images, and the offsets of the sparse ones."""
-    names = list(parts[0])
-    columns = {name: (np.stack if name in dense else np.concatenate)([part[name] for part in parts]) for name in names}
-    sparse = next(name for name in names if name not in dense)
-    offsets = np.concatenate([[0], np.cumsum([len(part[sparse]) for part in parts])]).astype(np.int64)
-    return columns, {sparse.replace("indices", "offsets"): offsets}
-
-
-def _create(file: h5py.File, name: str, column: Array) -> None:
-    if column.size == 0:
-        file.create_dataset(name, data=column, track_times=False)
-        return
-    rows = max(1, min(len(column), 2**20 // max(1, column[:1].nbytes)))
-    file.create_dataset(
-        name,
-        data=column,
-        chunks=(rows, *column.shape[1:]),
-        compression="gzip",
-        compression_opts=4,
-        shuffle=True,
-        fletcher32=True,
-        track_times=False,
-    )
-
-
-def _write_part(path: Path, rows: Rows) -> None:
-    buffer = io.BytesIO()
-    np.savez(buffer, **rows)
-    with output_errors(path):
-        partial = path.with_suffix(".partial")
-        partial.write_bytes(buffer.getvalue())
-        partial.replace(path)
-
-
-def _read_part(path: Path) -> Rows:
-    with np.load(path, allow_pickle=False) as part:
-        return {name: part[name] for name in part.files}

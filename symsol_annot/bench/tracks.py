@@ -24,6 +24,8 @@ from symsol_annot.so3 import Rotations, rotation_deviation
 
 _BLOCK_BYTES = 2**24
 _BLOCK_ENTRIES = 2**21
+_LEAST_LOG = -700.0  # whose exponential is still a positive number
+_LEAST_WEIGHT = 1e-300  # of the largest one, so that no product with an angle vanishes
 _ALL_LISTED = 1e-5  # how far from 1 the sum of a density may be that lists every cell
 
 Indices = npt.NDArray[np.int64]
@@ -57,7 +59,10 @@ class SparseRows:
 
 @dataclass(frozen=True, eq=False)
 class HypothesesBlock:
-    """Hypotheses of b images: image_index (b,), hypotheses (b, M, 3, 3) f8, weights (b, M) f8 or None for all alike."""
+    """Hypotheses of b images: image_index (b,), hypotheses (b, M, 3, 3) f8, weights (b, M) f8 or None for all alike.
+
+    The largest weight of an image is 1.
+    """
 
     image_index: Indices
     hypotheses: Rotations
@@ -87,7 +92,7 @@ class HypothesesTrack:
     name = "hypotheses"
 
     def __init__(self, structure: Structure) -> None:
-        self._structure, self._faults, self._file = structure, structure.faults, structure.file
+        self._structure, self._faults = structure, structure.faults
         self._has_weights = structure.has("hypothesis_weights")
 
     @property
@@ -109,19 +114,20 @@ class HypothesesTrack:
 
     def blocks(self, image_index: Indices) -> Iterator[HypothesesBlock]:
         """Yield the images that have no fault."""
-        tolerance = ROTATION_TOLERANCE[self._structure.facts("hypotheses").dtype]
+        structure = self._structure
+        tolerance = ROTATION_TOLERANCE[structure.facts("hypotheses").dtype]
         step = max(1, _BLOCK_BYTES // (72 * self.count))
         for start in range(0, len(image_index), step):
             stop = min(start + step, len(image_index))
-            hypotheses = self._file.read("hypotheses", start, stop).astype(np.float64)
+            hypotheses = structure.read_reals("hypotheses", start, stop)
             weights, used = None, np.ones(hypotheses.shape[:2], dtype=bool)
             good = np.ones(stop - start, dtype=bool)
             if self._has_weights:
-                weights = self._file.read("hypothesis_weights", start, stop).astype(np.float64)
+                weights = structure.read_reals("hypothesis_weights", start, stop)
                 good, used = self._check_weights(start, weights), weights > 0
             good &= self._check_rotations(start, hypotheses, used, tolerance)
             yield HypothesesBlock(
-                image_index[start:stop][good], hypotheses[good], None if weights is None else weights[good]
+                image_index[start:stop][good], hypotheses[good], None if weights is None else _relative(weights[good])
             )
 
     def _check_weights(self, start: int, weights: npt.NDArray[np.float64]) -> Flags:
@@ -136,11 +142,12 @@ class HypothesesTrack:
         is_finite = np.isfinite(hypotheses).all(axis=(2, 3)) | ~used
         self._faults.add_rows(self.name, "'hypotheses' has a NaN or an infinite entry", start, ~is_finite.all(axis=1))
         off = np.where(used & is_finite, rotation_deviation(hypotheses), 0.0)
+        off[np.isnan(off)] = np.inf  # entries whose squares are infinite
         is_off = (off > tolerance).any(axis=1)
 
         def describe(row: int) -> str:
             m = int(np.argmax(off[row]))
-            is_reflection = abs(np.linalg.det(hypotheses[row, m]) + 1.0) < 0.1
+            is_reflection = off[row, m] < np.inf and abs(np.linalg.det(hypotheses[row, m]) + 1.0) < 0.1
             return f"hypothesis {m}, off by {off[row, m]:.2g}{', with determinant -1' if is_reflection else ''}"
 
         reason = f"'hypotheses' holds a matrix that is no rotation (R^T R = I and det R = 1 within {tolerance:g})"
@@ -158,6 +165,7 @@ class _GridTrack:
 
     def __init__(self, structure: Structure) -> None:
         self._structure, self._faults, self._file = structure, structure.faults, structure.file
+        self._bounds: Indices = np.zeros(1, dtype=np.int64)  # the offsets, once they are known to be sound
 
     @property
     def grid_level(self) -> int:
@@ -183,8 +191,10 @@ class _GridTrack:
         if entries != values:
             self._faults.add(self.name, f"{self.indices!r} has {entries} entries, but {self.values!r} {values}")
             return False
-        bounds, size = self._read_offsets(), grid_size(self.grid_level)
-        steps = np.diff(bounds)
+        bounds, size = self._structure.read_integers(self.offsets), grid_size(self.grid_level)
+        if bounds is None:
+            return False
+        self._bounds, steps = bounds, np.diff(bounds)
         if bounds[0] == 0 and bounds[-1] == entries and steps.min() >= 0 and steps.max() <= size:
             return True
         self._faults.add(
@@ -194,20 +204,18 @@ class _GridTrack:
         )
         return False
 
-    def _read_offsets(self) -> Indices:
-        return self._file.read(self.offsets, 0, self._structure.facts(self.offsets).shape[0]).astype(np.int64)
-
     def _sparse_blocks(self, row_bytes: int) -> Iterator[tuple[slice, SparseRows]]:
         """Yield runs of rows with a bounded number of entries, or one row with more."""
-        bounds = self._read_offsets()
+        bounds = self._bounds
         most_rows = max(1, _BLOCK_BYTES // row_bytes)
         start = 0
         while start < len(bounds) - 1:
             fitting = int(np.searchsorted(bounds, bounds[start] + _BLOCK_ENTRIES, side="right")) - 1
             stop = min(max(start + 1, fitting), start + most_rows, len(bounds) - 1)
             first, last = int(bounds[start]), int(bounds[stop])
-            indices, values = (self._file.read(name, first, last) for name in (self.indices, self.values))
-            rows = SparseRows(bounds[start : stop + 1] - first, indices.astype(np.int64), values.astype(np.float64))
+            indices = self._file.read(self.indices, first, last).astype(np.int64)
+            values = self._structure.read_reals(self.values, first, last)
+            rows = SparseRows(bounds[start : stop + 1] - first, indices, values)
             yield slice(start, stop), rows
             start = stop
 
@@ -252,7 +260,7 @@ class ClassifierTrack(_GridTrack):
     def blocks(self, image_index: Indices) -> Iterator[ClassifierBlock]:
         """Yield the images, but for blocks that have a fault."""
         for rows, on_grid in self._sparse_blocks(8 * self._structure.facts("query_probability").shape[1]):
-            probability = self._file.read("query_probability", rows.start, rows.stop).astype(np.float64)
+            probability = self._structure.read_reals("query_probability", rows.start, rows.stop)
             strange = ~((probability >= 0) & (probability <= 1)).all(axis=1)  # NaN is strange too
             not_above = on_grid.any_in_row(~((on_grid.values > self.floor) & (on_grid.values <= 1)))
             self._faults.add_rows(self.name, "'query_probability' is not in [0, 1]", rows.start, strange)
@@ -274,8 +282,9 @@ class DensityTrack(_GridTrack):
     def blocks(self, image_index: Indices) -> Iterator[DensityBlock]:
         """Yield the images, but for blocks that have a fault."""
         for rows, on_grid in self._sparse_blocks(row_bytes=8):
-            strange = on_grid.any_in_row(~(np.isfinite(on_grid.values) & (on_grid.values <= 0)))
-            self._faults.add_rows(self.name, f"{self.values!r} are not finite and at most 0", rows.start, strange)
+            strange = on_grid.any_in_row(~((on_grid.values >= _LEAST_LOG) & (on_grid.values <= 0)))
+            reason = f"{self.values!r} are not in [{_LEAST_LOG:g}, 0]"
+            self._faults.add_rows(self.name, reason, rows.start, strange)
             good = self._check_indices(rows.start, on_grid) & ~strange
             if (self._check_mass(rows.start, on_grid, good) & good).all():
                 yield DensityBlock(image_index[rows], on_grid)
@@ -288,6 +297,12 @@ class DensityTrack(_GridTrack):
         reason = "the listed cells must hold less than 1, so that something is left for the others (all listed: 1)"
         self._faults.add_rows(self.name, reason, start, is_off, lambda row: f"they hold {mass[row]:.9g}")
         return ~is_off
+
+
+def _relative(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return weights (b, M) over the largest of their row; what is positive stays so."""
+    relative = weights / weights.max(axis=1, keepdims=True)
+    return np.where(weights > 0, np.maximum(relative, _LEAST_WEIGHT), 0.0)
 
 
 Track = HypothesesTrack | ClassifierTrack | DensityTrack

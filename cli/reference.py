@@ -1,0 +1,33 @@
+"""`symsol-annot reference`: score methods that know the answer, half of it, or nothing."""
+
+import tempfile
+from pathlib import Path
+
+import click
+from symsol_annot_cli.parameters import SPLIT, progress_bar
+
+from symsol_annot import dataset
+from symsol_annot.bench import report
+from symsol_annot.bench.reference import ROWS, score_row
+from symsol_annot.files import make_folder, write_atomically
+
+
+@click.command()
+@click.argument("folders", metavar="DATA...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@SPLIT
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("reference"), show_default=True)
+def reference(folders: tuple[Path, ...], split: str, out: Path) -> None:
+    """Score reference rows on sets, one an object: the truth, a blind method, random rotations and others.
+
+    Writes a scores.json a row, to compare one's own with.
+    """
+    datasets = [dataset.load(folder, split) for folder in folders]
+    make_folder(out)
+    with progress_bar(len(ROWS), "row") as bar:
+        for name in ROWS:
+            bar.set_description(name)
+            with tempfile.TemporaryDirectory(prefix="symsol-annot-") as workplace:
+                document = score_row(name, datasets, Path(workplace))
+            write_atomically(out / f"{name}.json", report.to_json(document).encode())
+            click.echo(f"\n{report.tables(document)}")
+            bar.update()
