@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from fractions import Fraction
 from pathlib import Path
 
 import h5py
@@ -10,6 +11,9 @@ import pytest
 from conftest import make_set
 
 import symsol_annot
+from symsol_annot.bench import format as bench_format
+from symsol_annot.bench import reference, scoring
+from symsol_annot.bench.truth import truth_of
 from symsol_annot.object_check import check_object
 from symsol_annot.objects import load_object
 from symsol_annot.scene import Camera
@@ -83,5 +87,66 @@ def test_the_object_of_the_contributing_page_is_an_object(tmp_path):
 
 
 def test_every_module_stands_in_the_architecture_page():
-    listed = set(re.findall(r"^\| `(\w+\.py)`", (ROOT / "docs/architecture.md").read_text(), flags=re.MULTILINE))
-    assert listed == {path.name for path in (ROOT / "symsol_annot").glob("*.py")} - {"__init__.py"}
+    rows = re.findall(r"^\| (`\w+\.py`.*?) \|", (ROOT / "docs/architecture.md").read_text(), flags=re.MULTILINE)
+    listed = re.findall(r"`(\w+\.py)`", " ".join(rows))
+    modules = [path.name for path in (ROOT / "symsol_annot").rglob("*.py") if path.name != "__init__.py"]
+    assert sorted(listed) == sorted(modules)
+
+
+def test_the_example_of_the_metrics_page_gives_what_it_says():
+    lines = code_blocks("docs/metrics.md", "python")[0].splitlines()
+    names = {}
+    exec("\n".join(lines[:6]), names)
+    said = {line.split("  # ")[0]: line.split("  # ")[1] for line in lines if "  # " in line}
+    for code, comment in said.items():
+        value = eval(code.split(" = ")[-1], names)
+        names[code.split(" = ")[0]] = value
+        numbers = [
+            float(Fraction(n)) for n in re.findall(r"\d+(?:/\d+|\.\d+)?", comment.split(":")[0].split("from")[0])
+        ]
+        assert np.allclose(value, numbers, atol=1e-3), (code, value, comment)
+
+
+def test_the_submission_page_is_enough_to_get_a_score(tmp_path, monkeypatch, capsys):
+    """Its writers and its lines of h5py make files that are valid and score alike."""
+    make_set(tmp_path / "data", "tetX", test=4)
+    monkeypatch.chdir(tmp_path)
+    blocks = code_blocks("docs/submission.md", "python")
+    first, writers, by_hand = (block.replace("cylO", "tetX") for block in blocks)  # whose candidates are few
+    hypotheses = uniform_rotations(4 * 5, np.random.default_rng(0)).reshape(4, 5, 3, 3)
+    images = [sample.image.tobytes() for sample in symsol_annot.load("data/tetX")]
+    names = {
+        "predict": lambda image: hypotheses[images.index(image.tobytes())],
+        "probability": lambda image, R: np.full(len(R), 0.05),
+        "log_density": lambda image, R: np.zeros(len(R)),
+    }
+    exec(first, names)
+    by_writer = scoring.score_file(Path("preds.h5"), Path("data"))
+    exec(writers, names)
+    tracks = scoring.score_file(Path("preds.h5"), Path("data")).tracks
+    assert set(tracks) == {"hypotheses", "classifier", "density"}
+    assert tracks["density"].figures["all"]["log_likelihood"].value == pytest.approx(-2.2895, abs=1e-4)
+    Path("preds.h5").unlink()
+    exec(by_hand, {"hypotheses": hypotheses})
+    scored = scoring.score_file(Path("preds.h5"), Path("data"))
+    assert str(scored.tracks["hypotheses"].figures) == str(by_writer.tracks["hypotheses"].figures)
+
+
+def test_the_submission_page_names_every_attribute_and_data_set():
+    text = (ROOT / "docs/submission.md").read_text()
+    documented = set(re.findall(r"`(\w+)`", text))
+    datasets = {name for names in bench_format.TRACKS.values() for name in names} | {bench_format.IMAGE_INDEX}
+    assert datasets | set(bench_format.FILE_ATTRIBUTES) | set(bench_format.CLASSIFIER_ATTRIBUTES) <= documented
+
+
+def test_the_metrics_page_defines_every_metric(tmp_path):
+    folder = make_set(tmp_path, "tetX", test=2)
+    text = (ROOT / "docs/metrics.md").read_text()
+    dataset = symsol_annot.load(folder)
+    known = truth_of(dataset)
+    path = tmp_path / "preds.h5"
+    reference.truth(path, dataset, known)
+    for track in scoring.score_file(path, folder).tracks.values():
+        for metric in track.per_image.values:
+            name = re.sub(r"(_at|_above)_[\d.]+(_deg)?$", r"\1_T\2", metric)
+            assert name in text or (name.endswith("_ceiling") and "`.._ceiling`" in text), metric
