@@ -143,7 +143,7 @@ class Dataset(Sequence[Sample]):
                 "`symsol-annot render --annotate all` gives every split its sets"
             )
         rows = list(self._rows)
-        columns = [self._shard(number).labels() for number in range(len(self._entries))]
+        columns = [self._labels_of(number) for number in range(len(self._entries))]
         rotation, mask, pixels, visible = (np.concatenate(column)[rows] for column in zip(*columns, strict=True))
         return Labels(rotation, mask, self.symmetry_group, pixels, visible)
 
@@ -174,6 +174,12 @@ class Dataset(Sequence[Sample]):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": OrderedDict()}
+
+    def _labels_of(self, number: int) -> tuple[npt.NDArray[Any], ...]:
+        shard = self._shard(number)
+        if not np.array_equal(shard.symmetry_group, self.symmetry_group):
+            raise DataError(f"{self.folder / self._entries[number].file}: its symmetry_group is not the first shard's")
+        return self._shard(number).labels()
 
     def close(self) -> None:
         """Close the files; the next access opens them again."""

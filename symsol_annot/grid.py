@@ -2,10 +2,10 @@
 
 At level l, HEALPix with n_side 2^l gives 12 x 4^l directions (polar, azimuth) in ring order, each with 6 x 2^l
 tilts; a rotation is Rz(azimuth) Ry(polar) Rz(tilt). Index = tilt x directions + direction. That is the order of
-Implicit-PDF and e3nn, whose grids are the same rotations in other axes: see `implicit_pdf_to_grid_frame`.
+Implicit-PDF and of projects on e3nn (Image2Sphere), whose grids are the same rotations in other axes: see
+`implicit_pdf_to_grid_frame`.
 """
 
-import hashlib
 from collections.abc import Iterator
 from functools import lru_cache
 
@@ -15,11 +15,12 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from symsol_annot.errors import SettingsError
-from symsol_annot.so3 import Rotations, rotation_to_quat_wxyz, rotations_about
+from symsol_annot.so3 import Rotations, rotation_to_quat_wxyz, rotations_about, rotations_sha256
 
 MAX_LEVEL = 6
 STANDARD_LEVEL = 4  # 294,912 rotations, 3.75 degrees from tilt to tilt
-_HASHED_DECIMALS = 6  # sines differ in the last bits from one C library to the next
+
+_ROUNDING_RAD = 1e-9
 
 # Each takes the axes of one composition to those of the next: Rx Rz Rx and Ry Rx Ry become Rz Ry Rz.
 _FROM_IMPLICIT_PDF = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -32,8 +33,8 @@ def grid_size(level: int) -> int:
     Raises:
         SettingsError: there is no such level.
     """
-    if not 0 <= level <= MAX_LEVEL:
-        raise SettingsError(f"the grid has levels 0 to {MAX_LEVEL}; there is no level {level}")
+    if level not in range(MAX_LEVEL + 1):
+        raise SettingsError(f"the grid has levels 0 to {MAX_LEVEL}; there is no level {level!r}")
     return 72 * 8**level
 
 
@@ -48,11 +49,8 @@ def equivolumetric_grid(level: int = STANDARD_LEVEL) -> Rotations:
 
 @lru_cache(maxsize=8)
 def grid_sha256(level: int = STANDARD_LEVEL) -> str:
-    """Return the SHA-256 of a level's rotations: entries x 10^6, rounded, as little-endian 32-bit integers in order."""
-    digest = hashlib.sha256()
-    for rotations in _slices(level):
-        digest.update(np.rint(rotations * 10**_HASHED_DECIMALS).astype("<i4").tobytes())
-    return digest.hexdigest()
+    """Return the SHA-256 of a level's rotations, as `so3.rotations_sha256`."""
+    return rotations_sha256(_slices(level))
 
 
 def _slices(level: int) -> Iterator[Rotations]:
@@ -96,8 +94,7 @@ def ring_to_nested(level: int = STANDARD_LEVEL) -> npt.NDArray[np.int64]:
 class GridIndex:
     """Finds grid rotations near given ones.
 
-    Unit quaternions q and -q are one rotation, and the chord between the nearer two is 2 sin(angle / 4): each
-    query asks for both signs.
+    Unit quaternions q and -q are one rotation, so both are in the tree; the chord to the nearer is 2 sin(angle / 4).
 
     Attributes:
         level: of the grid.
@@ -107,20 +104,20 @@ class GridIndex:
     def __init__(self, level: int = STANDARD_LEVEL) -> None:
         self.level = level
         self.rotations = equivolumetric_grid(level)
-        self._tree = cKDTree(rotation_to_quat_wxyz(self.rotations))
+        quat_wxyz = rotation_to_quat_wxyz(self.rotations)
+        self._tree = cKDTree(np.concatenate([quat_wxyz, -quat_wxyz]))
 
     def __len__(self) -> int:
         return len(self.rotations)
 
     def nearest(self, R: Rotations) -> npt.NDArray[np.int64]:
         """Return the indices (n,) of the grid rotations nearest to R (n, 3, 3)."""
-        quat_wxyz = rotation_to_quat_wxyz(R)
-        chord, index = self._tree.query(np.stack([quat_wxyz, -quat_wxyz]))
-        found: npt.NDArray[np.int64] = np.where(chord[0] <= chord[1], index[0], index[1])
-        return found
+        index: npt.NDArray[np.int64] = self._tree.query(rotation_to_quat_wxyz(R))[1] % len(self)
+        return index
 
     def within(self, R: Rotations, angle_rad: float) -> npt.NDArray[np.int64]:
-        """Return the sorted indices of all grid rotations at most `angle_rad` from any of R (n, 3, 3)."""
-        quat_wxyz = rotation_to_quat_wxyz(R)
-        lists = self._tree.query_ball_point(np.concatenate([quat_wxyz, -quat_wxyz]), 2.0 * np.sin(angle_rad / 4.0))
-        return np.unique(np.concatenate([np.asarray(found, dtype=np.int64) for found in lists]))
+        """Return the sorted indices of all grid rotations at most `angle_rad` (+ 1e-9) from any of R (n, 3, 3)."""
+        chord = 2.0 * np.sin((angle_rad + _ROUNDING_RAD) / 4.0)
+        lists = self._tree.query_ball_point(rotation_to_quat_wxyz(R), chord)
+        found = np.concatenate([np.zeros(0), *lists]).astype(np.int64)
+        return np.unique(found % len(self))

@@ -3,6 +3,8 @@
 Rotations are (..., 3, 3) float64 arrays that act on column vectors. Angles are in radians.
 """
 
+import hashlib
+from collections.abc import Iterable
 from typing import TypeAlias
 
 import numpy as np
@@ -72,6 +74,18 @@ def angle_between(R_a: Rotations, R_b: Rotations) -> Angles:
     distance = np.sqrt(np.square(np.asarray(R_b) - np.asarray(R_a)).sum(axis=(-2, -1)))
     angles: Angles = 2.0 * np.arcsin(np.minimum(distance / (2.0 * np.sqrt(2.0)), 1.0))
     return angles
+
+
+def rotations_sha256(parts: Iterable[Rotations]) -> str:
+    """Return a digest of rotations in their order: entries x 2^20, rounded, as little-endian 32-bit integers.
+
+    Sines differ in their last bits from one C library to the next; of the grids and groups of this package, no entry
+    is close to where that would round to another integer.
+    """
+    digest = hashlib.sha256()
+    for R in parts:
+        digest.update(np.rint(R * 2.0**20).astype("<i4").tobytes())
+    return digest.hexdigest()
 
 
 def uniform_rotations(count: int, rng: np.random.Generator) -> Rotations:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.so3 import Rotations, unit_cube_to_rotation
+from symsol_annot.so3 import Rotations, rotations_sha256, unit_cube_to_rotation
 
 DECOY_COSETS = 8
 QUERIES_VERSION = 1
@@ -22,8 +22,8 @@ def query_count(group_order: int) -> int:
 
 
 def group_sha256(symmetry_group: Rotations) -> str:
-    """Return the digest of a group (G, 3, 3) in its order: entries x 10^6, rounded, as 32-bit integers."""
-    return hashlib.sha256(np.rint(symmetry_group * 10**6).astype("<i4").tobytes()).hexdigest()
+    """Return the digest of a group (G, 3, 3) in its order, as `so3.rotations_sha256`."""
+    return rotations_sha256([symmetry_group])
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from symsol_annot.bench.format import MAX_GRID_LEVEL, is_level
 from symsol_annot.bench.queries import Queries, group_sha256
 from symsol_annot.dataset import Dataset
+from symsol_annot.errors import SettingsError
 from symsol_annot.files import output_errors
 from symsol_annot.grid import STANDARD_LEVEL, equivolumetric_grid, grid_sha256
 
@@ -24,9 +26,16 @@ def write_queries(
     what a predictions file has to repeat.
 
     Raises:
+        SettingsError: the dataset is a slice, or predictions cannot be on a grid of that level.
         NotAnnotatedError: the split has no symmetry sets.
         OutputError: the file cannot be written.
     """
+    if len(dataset) != dataset.manifest.images(dataset.split):
+        raise SettingsError(f"{dataset!r} is a slice; queries are about a whole split")
+    if not is_level(level):
+        raise SettingsError(
+            f"predictions are on grids of levels 0 to {MAX_GRID_LEVEL}, not {level!r}"
+        )
     labels = dataset.labels()
     queries = Queries(dataset.fingerprint, labels.symmetry_group)
     partial = path.with_name(f".{path.name}.partial")
