@@ -7,6 +7,7 @@ from symsol_annot_cli.parameters import SET_FOLDER, SPLIT, progress_bar
 
 from symsol_annot import dataset
 from symsol_annot.bench.query_file import write_queries
+from symsol_annot.files import make_folder
 from symsol_annot.grid import STANDARD_LEVEL
 
 
@@ -17,6 +18,7 @@ from symsol_annot.grid import STANDARD_LEVEL
 @click.option("--level", type=click.IntRange(0, 5), default=STANDARD_LEVEL, show_default=True, help="Of the grid.")
 def queries(folder: Path, split: str, out: Path, level: int) -> None:
     """Write the rotations at which a classifier is asked about each image, and the grid, for other languages."""
+    make_folder(out.parent)
     with dataset.load(folder, split) as about, progress_bar(len(about), "image") as bar:
         write_queries(out, about, level, bar.update)
     click.echo(out)

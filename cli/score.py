@@ -6,7 +6,8 @@ import click
 from symsol_annot_cli.parameters import DATA, PREDICTIONS, progress_bar
 
 from symsol_annot.bench import report
-from symsol_annot.bench.scoring import score_file
+from symsol_annot.bench.predictions import open_predictions
+from symsol_annot.bench.scoring import score as score_predictions
 from symsol_annot.files import write_atomically
 
 
@@ -20,11 +21,16 @@ def score(paths: tuple[Path, ...], data: Path, json_path: Path | None, csv_path:
 
     Several files, one an object, give the benchmark's table.
     """
+    outputs = [path.absolute() for path in (json_path, csv_path) if path]
+    if len(set(outputs)) < len(outputs) or not {path.absolute() for path in paths}.isdisjoint(outputs):
+        raise click.UsageError("--json and --per-image each need a file of their own, which is none of the predictions")
     scores = []
     for path in paths:
-        with progress_bar(None, "image") as bar:
-            bar.set_description(path.name)
-            scores.append(score_file(path, data, bar.update))
+        with open_predictions(path, data) as predictions:
+            rows = len(predictions.tracks) * len(predictions.truth)
+            with progress_bar(rows, "row") as bar:
+                bar.set_description(path.name)
+                scores.append(score_predictions(predictions, bar.update))
     document = report.to_document(scores, paths)
     click.echo(report.tables(document))
     if json_path:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import Renderer
 from symsol_annot.so3 import Rotations
+from symsol_annot.visibility import MarkingVisibility
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,8 @@ class Annotation:
 
     Attributes:
         mask: (G,) bool, which g of the body's group are in the set; S = R_gt @ symmetry_group[mask].
-        candidate_pixels: (G,) f8, p(R_gt g); NaN where the rule did not need it.
+        candidate_pixels: (G,) f8, p(R_gt g); NaN where the rule did not need it. Where geometry decided, an area on the
+            same side of the tolerance, and 0 where p is 0.
     """
 
     mask: npt.NDArray[np.bool_]
@@ -43,14 +45,21 @@ def is_shown(spec: ObjectSpec, pixels: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     return np.asarray(np.asarray(pixels) >= tolerance_px)
 
 
-def annotate(spec: ObjectSpec, R_gt: Rotations, pixels: float, renderer: Renderer) -> Annotation:
-    """Return the symmetry set of the image at R_gt, drawing every candidate where the marking is hidden.
+def annotate(
+    spec: ObjectSpec,
+    R_gt: Rotations,
+    pixels: float,
+    renderer: Renderer,
+    visibility: MarkingVisibility | None = None,
+) -> Annotation:
+    """Return the symmetry set of the image at R_gt.
 
     Args:
         spec: the object.
         R_gt: (3, 3) the image's rotation.
         pixels: p(R_gt), from `marking_pixels`.
-        renderer: draws the object.
+        renderer: draws the candidates, where the marking is hidden.
+        visibility: decides most of them without drawing; the set is the same without it.
     """
     cosets = spec.cosets
     candidate_pixels = np.full(len(spec.symmetry_group), np.nan)
@@ -62,6 +71,11 @@ def annotate(spec: ObjectSpec, R_gt: Rotations, pixels: float, renderer: Rendere
         mask[cosets[0]] = True
         return Annotation(mask, candidate_pixels)
     others = cosets[1:]
-    drawn = renderer.marking_pixels(R_gt @ spec.symmetry_group[others.reshape(-1)])
-    candidate_pixels[others] = drawn.reshape(others.shape).max(axis=1, keepdims=True)
+    candidates = R_gt @ spec.symmetry_group[others]  # (cosets, H, 3, 3)
+    areas = np.full(others.shape, np.nan)
+    if visibility is not None:
+        areas = visibility.areas(candidates.reshape(-1, 3, 3), spec.marking.tolerance_px).reshape(others.shape)
+    undecided = np.isnan(areas).any(axis=1)
+    areas[undecided] = renderer.marking_pixels(candidates[undecided].reshape(-1, 3, 3)).reshape(-1, others.shape[1])
+    candidate_pixels[others] = areas.max(axis=1, keepdims=True)
     return Annotation(~is_shown(spec, candidate_pixels), candidate_pixels)

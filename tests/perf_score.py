@@ -5,7 +5,6 @@ faces away), 30 hypotheses an image, and prints one table. Everything is timed i
 """
 
 import argparse
-import json
 import resource
 import subprocess
 import sys
@@ -39,9 +38,8 @@ _START = "import time; t = time.perf_counter(); import symsol_annot_cli.main; pr
 class FacingRenderer:
     """Draws nothing; the disc counts as shown where the middle of it faces the camera."""
 
-    versions = {"renderer": "facing"}
-
     def __init__(self, spec, camera):
+        self.versions = {"renderer": "facing"}
         self._middle = spec.mesh.marking_vertices.mean(axis=0)
         self._normal = self._middle * [1, 1, 0] / np.linalg.norm(self._middle[:2])
         self._camera = np.array([0, 0, -camera.distance])
@@ -107,9 +105,9 @@ def time_command(path, data):
     start_up = [
         float(subprocess.run([sys.executable, "-c", _START], check=True, capture_output=True).stdout) for _ in range(3)
     ]
-    print(
-        f"whole command     {np.median(walls):7.2f} s   largest process so far {max(rss):.0f} MiB, scores.json {(data / 's.json').stat().st_size / 2**20:.1f} MiB"
-    )
+    written = (data / "s.json").stat().st_size / 2**20
+    print(f"whole command      {np.median(walls):6.2f} s   scores.json has {written:.1f} MiB")
+    print(f"  largest process so far    {max(rss):.0f} MiB")
     print(f"  start-up        {np.median(start_up):7.2f} s   imports")
 
 
@@ -137,13 +135,15 @@ def time_stages(path, dataset):
     start = time.perf_counter()
     figures(table, truth.strata)
     bootstrap = time.perf_counter() - start
-    for name, seconds in {
+    stages = {
         "reading the labels": labels,
+        "opening": opening,
         "reading": reading,
         "checking": checking,
         "metrics": scoring,
         "bootstrap": bootstrap,
-    }.items():
+    }
+    for name, seconds in stages.items():
         print(f"  {name:<18} {seconds:5.2f} s")
     return track
 

@@ -86,7 +86,7 @@ def difference(
 ) -> dict[str, dict[str, Figure]]:
     """Return the same for second minus first, with the same draws on both sides; both are about the same images."""
     a, a_weights = _sums(first, strata)
-    b, b_weights = _sums(second, strata)
+    b, b_weights = _sums(second.select(list(first.values)), strata)
     values = _ratio(b.sum(axis=0), b_weights.sum(axis=0)) - _ratio(a.sum(axis=0), a_weights.sum(axis=0))
     drawn = _resampled(b, b_weights) - _resampled(a, a_weights)
     return _tabulate(values, drawn, (a_weights > 0) & (b_weights > 0), list(first.values), strata)
@@ -117,7 +117,7 @@ def _tabulate(
 def _sums(table: PerImage, strata: Mapping[str, npt.NDArray[np.bool_]]) -> tuple[Values, Values]:
     """Return weight x value and weight, (N, strata x metrics) each."""
     values = np.stack(list(table.values.values()), axis=1)
-    weights = np.stack(list(table.weights.values()), axis=1)
+    weights = np.stack([table.weights[name] for name in table.values], axis=1)
     inside = [rows[:, None] * weights for rows in strata.values()]
     finite = np.where(weights > 0, values, 0.0)
     return np.concatenate([w * finite for w in inside], axis=1), np.concatenate(inside, axis=1)
@@ -148,5 +148,6 @@ def _percentiles(drawn: Values) -> tuple[Values, Values]:
     """Return the interval of each column over the draws that define it; NaN where none does."""
     defined = ~np.isnan(drawn).all(axis=0)
     low, high = np.full((2, drawn.shape[1]), np.nan)
-    low[defined], high[defined] = np.nanpercentile(drawn[:, defined], INTERVAL, axis=0)
+    if defined.any():
+        low[defined], high[defined] = np.nanpercentile(drawn[:, defined], INTERVAL, axis=0)
     return low, high

@@ -9,6 +9,7 @@ It imports nothing of this package, so that it starts fast. Requests are lines o
 is the length of a JSON header (8 bytes, little-endian), the header, and the bytes that it announces.
 """
 
+import encodings.ascii  # noqa: F401 - which h5py needs when no file can be opened any more
 import json
 import os
 import signal
@@ -75,23 +76,24 @@ def _read(file: h5py.File, request: dict[str, Any]) -> tuple[dict[str, Any], Any
 
 
 def _describe(file: h5py.File) -> dict[str, Any]:
-    count = len(file)
-    if count > MAX_LINKS:
-        return {"error": f"holds {count} links at its root; a predictions file holds at most 10 data sets"}
+    links, attributes = len(file), h5py.h5a.get_num_attrs(file.id)
+    if links > MAX_LINKS or attributes > MAX_ATTRIBUTES:
+        found = f"{links} names at its root and {attributes} attributes"
+        return {"error": f"holds {found}; a predictions file has at most 10 of each"}
     return {
-        "attributes": _attributes(file),
-        "datasets": {name[:MAX_TEXT]: _attempt_one(_dataset, file, name) for name in file},
+        "attributes": {_name(name)[:MAX_TEXT]: _attempt_one(_attribute, file, name) for name in file.attrs},
+        "datasets": {_name(name)[:MAX_TEXT]: _attempt_one(_dataset, file, name) for name in file},
     }
 
 
-def _attributes(file: h5py.File) -> dict[str, Any]:
-    count = h5py.h5a.get_num_attrs(file.id)
-    if count > MAX_ATTRIBUTES:
-        raise ValueError(f"{count} attributes; at most {MAX_ATTRIBUTES} are looked at")
-    return {name[:MAX_TEXT]: _attempt_one(_attribute, file, name) for name in file.attrs}
+def _name(name: str | bytes) -> str:
+    """Return a name, which is bytes where it is no UTF-8, for a message."""
+    return name if isinstance(name, str) else name.decode(errors="backslashreplace")
 
 
-def _attempt_one(function: Callable[[h5py.File, str], dict[str, Any]], file: h5py.File, name: str) -> dict[str, Any]:
+def _attempt_one(
+    function: Callable[[h5py.File, str | bytes], dict[str, Any]], file: h5py.File, name: str | bytes
+) -> dict[str, Any]:
     """Return what a name is; a damaged one does not hide the others."""
     try:
         return function(file, name)
@@ -101,26 +103,24 @@ def _attempt_one(function: Callable[[h5py.File, str], dict[str, Any]], file: h5p
         return {"found": "damaged (it needs more memory than allowed)"}
 
 
-def _attribute(file: h5py.File, name: str) -> dict[str, Any]:
+def _attribute(file: h5py.File, name: str | bytes) -> dict[str, Any]:
     """Return an attribute's value where it is one string or one number, else what it is instead."""
     attribute = file.attrs.get_id(name)
     kind = attribute.get_type().get_class()
     if attribute.shape != ():
-        return {"found": f"an array of shape {attribute.shape}"}
+        return {"found": "empty" if attribute.shape is None else f"an array of shape {attribute.shape}"}
     if kind not in (h5py.h5t.STRING, h5py.h5t.INTEGER, h5py.h5t.FLOAT):
         return {"found": _KINDS.get(kind, "an unknown type")}
     if attribute.get_storage_size() > MAX_ATTRIBUTE_BYTES:
         return {"found": f"{attribute.get_storage_size()} bytes"}
     value = file.attrs[name]
-    if isinstance(value, h5py.Empty):
-        return {"found": "empty"}
     if kind == h5py.h5t.STRING:
         value = value.decode(errors="replace") if isinstance(value, bytes) else str(value)
         return {"value": value} if len(value) <= MAX_ATTRIBUTE_BYTES else {"found": f"{len(value)} characters"}
     return {"value": int(value) if kind == h5py.h5t.INTEGER else float(value)}
 
 
-def _dataset(file: h5py.File, name: str) -> dict[str, Any]:
+def _dataset(file: h5py.File, name: str | bytes) -> dict[str, Any]:
     """Return what a data set is, without reading it; `found` says why it is none that could be read."""
     found = _not_here(file, name)
     if found:
@@ -140,9 +140,9 @@ def _dataset(file: h5py.File, name: str) -> dict[str, Any]:
     }
 
 
-def _not_here(file: h5py.File, name: str) -> str:
+def _not_here(file: h5py.File, name: str | bytes) -> str:
     """Return what a name is if it is no object at the root of this file; else nothing."""
-    if "/" in name:  # only in a forged file; HDF5 takes it for a path, which may lead out of the file
+    if "/" in _name(name):  # only in a forged file; HDF5 takes it for a path, which may lead out of the file
         return "a name with a slash"
     link = file.get(name, getlink=True)
     if isinstance(link, h5py.ExternalLink):

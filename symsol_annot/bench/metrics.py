@@ -32,7 +32,10 @@ def recall_and_precision_errors(symmetry_set: Rotations, hypotheses: Rotations) 
 
 def mean_error(errors_rad: Angles, weights: npt.NDArray[np.float64] | None = None) -> float:
     """Return the mean of angular errors, an image's share of eq. 5.7, or of eq. 5.9 with hypothesis weights."""
-    return float(errors_rad.mean() if weights is None else weights @ errors_rad / weights.sum())
+    if weights is None:
+        return float(errors_rad.mean())
+    relative = weights / weights.max()
+    return float((relative * errors_rad).sum() / relative.sum())
 
 
 def share_within(
@@ -41,7 +44,8 @@ def share_within(
     """Return which share of the errors is at most each threshold: coverage of members, accuracy of hypotheses."""
     if weights is None:
         return np.searchsorted(np.sort(errors_rad), thresholds_rad, side="right") / len(errors_rad)
-    return (errors_rad <= thresholds_rad[:, None]) @ weights / weights.sum()
+    relative = weights / weights.max()
+    return np.where(errors_rad <= thresholds_rad[:, None], relative, 0.0).sum(axis=1) / relative.sum()
 
 
 def harmonic_mean(coverage: Ratios, accuracy: Ratios) -> Ratios:
@@ -77,12 +81,12 @@ def classifier_accuracy(true_positives: Counts, false_positives: Counts, set_siz
 # Densities (the literature of SYMSOL)
 
 
-def log_likelihood(cell_probability: npt.NDArray[np.float64], grid_size: int) -> float:
-    """Return the mean of ln(p N / pi^2) over rotations whose cells have the probabilities p (k,).
+def log_likelihood(log_probability: npt.NDArray[np.float64], grid_size: int) -> float:
+    """Return the mean of ln(p N / pi^2) over rotations whose cells have the log-probabilities ln p (k,).
 
     N / pi^2 is one over a cell's volume, with the volume of SO(3) pi^2: the uniform density has ln(1 / pi^2) = -2.2895.
     """
-    return float(np.log(cell_probability).mean() + math.log(grid_size / math.pi**2))
+    return float(log_probability.mean() + math.log(grid_size / math.pi**2))
 
 
 def spread(listed_probability: npt.NDArray[np.float64], listed_angles_rad: Angles, all_angles_rad: Angles) -> float:

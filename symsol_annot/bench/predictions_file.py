@@ -1,8 +1,10 @@
 """A predictions file that is being written: what was collected for it, and how it is put in its place."""
 
+import contextlib
 import io
 import json
 import shutil
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,18 +22,20 @@ from symsol_annot.bench.format import (
     PREDICTIONS_FORMAT_VERSION,
     track_of,
 )
-from symsol_annot.bench.predictions import Predictions
+from symsol_annot.bench.hdf5_output import HDF5Output
+from symsol_annot.bench.predictions import MAX_NAME, Predictions
 from symsol_annot.bench.sandbox import SandboxedFile
+from symsol_annot.bench.structure import shown
 from symsol_annot.bench.truth import truth_of
 from symsol_annot.dataset import Dataset
 from symsol_annot.errors import PredictionsError, SettingsError
-from symsol_annot.files import make_folder, output_errors
+from symsol_annot.files import make_folder, output_errors, write_atomically
 
 Array = npt.NDArray[Any]
 Rows = dict[str, Array]  # what there is of one image, by data set
 
 _CHUNK_BYTES = 2**18
-_CACHE_BYTES = 2**26
+_DAMAGE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)  # what numpy makes of a damaged .npz
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +56,8 @@ class PredictionsFile:
     """One track on its way into a file, which may hold other tracks of the same method on the same images.
 
     Raises:
-        SettingsError: the dataset is a slice.
+        SettingsError: the dataset is a slice, or the method's name is none.
+        NotAnnotatedError: the split has no symmetry sets.
         PredictionsError: the file is there and about something else.
     """
 
@@ -64,9 +69,11 @@ class PredictionsFile:
         attributes: dict[str, Any],
         settings: dict[str, Any] | None = None,
     ) -> None:
-        if len(dataset) != dataset.manifest.images(dataset.split):
-            raise SettingsError(f"{dataset!r} is a slice; predictions are about a whole split")
+        if len(dataset) != dataset.manifest.images(dataset.split) or dataset[0].index != 0:
+            raise SettingsError(f"{dataset!r} is a slice; predictions are about a whole split, in its order")
+        _refuse_odd_method(attributes["method"])
         self._path, self._dataset, self._track = path, dataset, track
+        self._truth = truth_of(dataset)
         self._attributes = {
             "format": PREDICTIONS_FORMAT,
             "format_version": PREDICTIONS_FORMAT_VERSION,
@@ -76,13 +83,14 @@ class PredictionsFile:
             **attributes,
         }
         self._settings = {**self._attributes, **(settings or {})}
-        self._folder = Path(f"{path}.parts") / track
+        self._folder, self._has_asked = Path(f"{path}.parts") / track, False
         self._refuse_another()
 
     def collect(self, ask: Callable[[int], Rows], *, progress: bool) -> "Parts":
         """Ask about every image that was not asked about before; the answers are kept until the file is written."""
         make_folder(self._folder)
         self._refuse_other_parts()
+        self._has_asked = True
         parts = Parts(self._folder, len(self._dataset))
         for i in tqdm(range(len(self._dataset)), unit="image", disable=None if progress else True):
             if not parts.has(i):
@@ -96,49 +104,73 @@ class PredictionsFile:
             PredictionsError: what was written has faults; the file that was there before is left as it was.
             OutputError: it cannot be written.
         """
+        if self._has_asked:
+            self._refuse_another()  # it may have been put there since
+        make_folder(self._path.parent)
         partial = self._path.with_name(f".{self._path.name}.partial")
         try:
-            with output_errors(self._path):
-                self._write_to(partial, columns)
+            with output_errors(self._path), HDF5Output(partial) as output:
+                self._fill(output, columns)
             with SandboxedFile(partial) as written:
-                Predictions(written, truth_of(self._dataset)).check()
+                Predictions(written, self._truth).check()
             with output_errors(self._path):
                 partial.replace(self._path)
         except PredictionsError as error:
             raise PredictionsError(str(self._path), error.faults) from None
         finally:
-            partial.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                partial.unlink()
+        if self._has_asked:
+            self._forget_answers()
+
+    def _forget_answers(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
-        if self._folder.parent.is_dir() and not any(self._folder.parent.iterdir()):
+        with contextlib.suppress(OSError):  # another track's answers are in it
             self._folder.parent.rmdir()
 
-    def _write_to(self, path: Path, columns: Mapping[str, Column]) -> None:
-        with h5py.File(path, "w", libver=("earliest", "v108"), rdcc_nbytes=_CACHE_BYTES) as file:
-            if self._path.exists():
-                with h5py.File(self._path, "r") as before:
-                    file.attrs.update(before.attrs)
-                    for name in before:
-                        if track_of(name) not in (self._track, "the file"):
-                            before.copy(name, file)
-            file.attrs.update(self._attributes)
-            file[IMAGE_INDEX] = np.arange(len(self._dataset), dtype=np.int64)
-            for name, column in columns.items():
-                _create(file, name, column)
+    def _fill(self, output: HDF5Output, columns: Mapping[str, Column]) -> None:
+        file = output.file
+        if self._path.exists():
+            with h5py.File(self._path, "r") as before:
+                file.attrs.update(before.attrs)
+                for name in before:
+                    if track_of(name) not in (self._track, "the file"):
+                        before.copy(name, file)
+        file.attrs.update(self._attributes)
+        file[IMAGE_INDEX] = np.arange(len(self._dataset), dtype=np.int64)
+        for name, column in columns.items():
+            _create(output, name, column)
 
     def _refuse_another(self) -> None:
-        if not self._path.exists():
-            return
+        with output_errors(self._path):
+            if not self._path.exists():
+                return
         with SandboxedFile(self._path) as before:
-            found, tracks = before.attributes, {track_of(name) for name in before.datasets}
-        shares_grid = bool(tracks - {self._track, "hypotheses", "the file"})
+            found, datasets = before.attributes, before.datasets
+            kept = {track_of(name) for name in datasets} - {self._track, "the file"}
+            is_in_order = not kept or self._has_images_in_order(before)
+        shares_grid = bool(kept - {"hypotheses"})
         compared = [name for name in self._attributes if name in FILE_ATTRIBUTES or (shares_grid and "grid" in name)]
         faults = [
-            f"is there already, with another {name}: {found.get(name)!r}; choose another file, or delete it"
+            f"is there already, with another {name}: {shown(found.get(name))}; choose another file, or delete it"
             for name in compared
             if found.get(name) != self._attributes[name]
         ]
+        faults += [
+            f"{shown(name)} is {facts.found}; a track cannot be added to such a file"
+            for name, facts in datasets.items()
+            if facts.found
+        ]
+        if not faults and not is_in_order:
+            faults.append("its rows are not in the images' order, which a track that is added has; choose another file")
         if faults:
             raise PredictionsError(str(self._path), faults)
+
+    def _has_images_in_order(self, before: SandboxedFile) -> bool:
+        facts, count = before.datasets.get(IMAGE_INDEX), len(self._dataset)
+        if facts is None or facts.found or facts.shape != (count,):
+            return False
+        return bool((before.read(IMAGE_INDEX, 0, count) == np.arange(count)).all())
 
     def _refuse_other_parts(self) -> None:
         note, text = self._folder / "settings.json", json.dumps(self._settings, sort_keys=True)
@@ -146,8 +178,7 @@ class PredictionsFile:
             raise PredictionsError(
                 str(self._folder), ["holds the beginning of other predictions; finish those, or delete the folder"]
             )
-        with output_errors(note):
-            note.write_text(text)
+        write_atomically(note, text.encode())
 
 
 class Parts:
@@ -190,20 +221,29 @@ class Parts:
         return (self._read(i, name) for i in range(self._images))
 
     def _read(self, i: int, name: str) -> Array:
-        with np.load(self._path(i), allow_pickle=False) as part:
-            rows: Array = part[name]
+        try:
+            with self._path(i).open("rb") as file, np.load(file, allow_pickle=False) as part:
+                rows: Array = part[name]
+        except _DAMAGE as error:
+            fault = f"is damaged ({error}); delete it, and the same call asks about image {i} again"
+            raise PredictionsError(str(self._path(i)), [fault]) from None
         return rows
 
     def _path(self, i: int) -> Path:
         return self._folder / f"{i:08d}.npz"
 
 
-def _create(file: h5py.File, name: str, column: Column) -> None:
+def _refuse_odd_method(method: Any) -> None:
+    if not isinstance(method, str) or not method.isprintable() or len(method) > MAX_NAME:
+        raise SettingsError(f"method: expected at most {MAX_NAME} printable characters, found {shown(method)}")
+
+
+def _create(output: HDF5Output, name: str, column: Column) -> None:
     if 0 in column.shape:
-        file.create_dataset(name, column.shape, column.dtype, track_times=False)
+        output.file.create_dataset(name, column.shape, column.dtype, track_times=False)
         return
     row_bytes = column.dtype.itemsize * int(np.prod(column.shape[1:]))
-    dataset = file.create_dataset(
+    dataset = output.file.create_dataset(
         name,
         column.shape,
         column.dtype,
@@ -218,3 +258,4 @@ def _create(file: h5py.File, name: str, column: Column) -> None:
     for block in column.blocks:
         dataset[start : start + len(block)] = block
         start += len(block)
+        output.raise_failure()

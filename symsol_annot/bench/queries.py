@@ -6,6 +6,7 @@ come together with 8 cosets R' g at random R', which a fair classifier claims as
 
 import hashlib
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,14 +52,14 @@ class Queries:
         cosets = np.concatenate([R_gt[None], decoys])[:, None] @ self.symmetry_group
         return cosets.reshape(-1, 3, 3)[order]
 
-    def unshuffle(self, image_index: int, probability: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def unshuffle(self, image_index: int, probability: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the probabilities (Q,) at an image's queries as (9, G): row 0 at R_gt g, the others at the decoys."""
         _, order = self._draw(image_index)
-        in_order = np.empty(len(self))
+        in_order = np.empty(len(self), dtype=probability.dtype)
         in_order[order] = probability
         return in_order.reshape(1 + DECOY_COSETS, -1)
 
-    def shuffle(self, image_index: int, in_order: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def shuffle(self, image_index: int, in_order: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Undo `unshuffle`: from (9, G) to the order (Q,) in which the image's queries are asked."""
         _, order = self._draw(image_index)
         return in_order.reshape(-1)[order]

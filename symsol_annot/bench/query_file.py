@@ -33,9 +33,7 @@ def write_queries(
     if len(dataset) != dataset.manifest.images(dataset.split):
         raise SettingsError(f"{dataset!r} is a slice; queries are about a whole split")
     if not is_level(level):
-        raise SettingsError(
-            f"predictions are on grids of levels 0 to {MAX_GRID_LEVEL}, not {level!r}"
-        )
+        raise SettingsError(f"predictions are on grids of levels 0 to {MAX_GRID_LEVEL}, not {level!r}")
     labels = dataset.labels()
     queries = Queries(dataset.fingerprint, labels.symmetry_group)
     partial = path.with_name(f".{path.name}.partial")

@@ -16,22 +16,23 @@ from symsol_annot.bench.scoring import ObjectScores, score_file
 from symsol_annot.bench.submission import write_columns, write_hypotheses
 from symsol_annot.bench.truth import Truth, truth_of
 from symsol_annot.dataset import Dataset
-from symsol_annot.grid import GridIndex
+from symsol_annot.errors import ScoresError
+from symsol_annot.grid import STANDARD_LEVEL, GridIndex
 from symsol_annot.so3 import Rotations, uniform_rotations
 
 HYPOTHESES = 30
 _SEED = 0
 _LISTED_MASS = 1.0 - 1e-12  # a density leaves something to every cell
 
-Write = Callable[[Path, Dataset, Truth], None]
+Write = Callable[[Path, Dataset, Truth, int], None]  # the last is the grid's level
 
 
-def truth(path: Path, dataset: Dataset, known: Truth) -> None:
+def truth(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write the symmetry sets themselves, as hypotheses, classifier and density."""
     write_hypotheses(path, dataset, known.labels.symmetry_set, method="truth", progress=False)
     nowhere = [np.zeros(0, dtype=np.int64)] * len(known)
-    _write_classifier(path, dataset, known.labels.symmetry_mask, nowhere, "truth")
-    grid = GridIndex()
+    _write_classifier(path, dataset, known.labels.symmetry_mask, nowhere, "truth", level)
+    grid = GridIndex(level)
     cells = [np.unique(grid.nearest(known.labels.symmetry_set(i)), return_counts=True) for i in range(len(known))]
     columns = {
         "density_offsets": _offsets([indices for indices, _ in cells]),
@@ -40,52 +41,52 @@ def truth(path: Path, dataset: Dataset, known: Truth) -> None:
             np.concatenate([_LISTED_MASS * counts / counts.sum() for _, counts in cells])
         ),
     }
-    write_columns(path, dataset, "density", columns, method="truth")
+    write_columns(path, dataset, "density", columns, method="truth", grid_level=level)
 
 
-def one_true_rotation(path: Path, dataset: Dataset, known: Truth) -> None:
+def one_true_rotation(path: Path, dataset: Dataset, known: Truth, _level: int = STANDARD_LEVEL) -> None:
     """Write the one rotation that each image was drawn at."""
     write_hypotheses(path, dataset, known.labels.rotation[:, None], method="one true rotation")
 
 
-def body_group(path: Path, dataset: Dataset, known: Truth) -> None:
+def body_group(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write all rotations of the body, as a method does that is blind to the marking."""
     labels = known.labels
     everything = np.ones_like(labels.symmetry_mask)
     nowhere = [np.zeros(0, dtype=np.int64)] * len(known)
     method = "the body's group, blind to the marking"
     write_hypotheses(path, dataset, lambda i: labels.rotation[i] @ labels.symmetry_group, method=method, progress=False)
-    _write_classifier(path, dataset, everything, nowhere, method)
+    _write_classifier(path, dataset, everything, nowhere, method, level)
 
 
-def uniform(path: Path, dataset: Dataset, known: Truth) -> None:
+def uniform(path: Path, dataset: Dataset, known: Truth, _level: int = STANDARD_LEVEL) -> None:
     """Write 30 uniform rotations an image."""
     rng = np.random.default_rng(_SEED)
     rotations = uniform_rotations(HYPOTHESES * len(known), rng).reshape(len(known), HYPOTHESES, 3, 3)
     write_hypotheses(path, dataset, rotations, method="30 uniform rotations")
 
 
-def evenly_placed(path: Path, dataset: Dataset, known: Truth) -> None:
+def evenly_placed(path: Path, dataset: Dataset, known: Truth, _level: int = STANDARD_LEVEL) -> None:
     """Write the set where it has up to 30 members, else 30 of them, even along its arcs."""
     write_hypotheses(path, dataset, lambda i: _even(known, i), method="30 placed evenly", progress=False)
 
 
-def rounded_to_grid(path: Path, dataset: Dataset, known: Truth) -> None:
+def rounded_to_grid(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write the grid rotations nearest to the members: as hypotheses, and as what a classifier claims on the grid."""
-    grid, method = GridIndex(), "truth rounded to the grid"
+    grid, method = GridIndex(level), "truth rounded to the grid"
     cells = [np.unique(grid.nearest(known.labels.symmetry_set(i))) for i in range(len(known))]
     write_hypotheses(path, dataset, lambda i: grid.rotations[cells[i]], method=method, progress=False)
-    _write_classifier(path, dataset, known.labels.symmetry_mask, cells, method)
+    _write_classifier(path, dataset, known.labels.symmetry_mask, cells, method, level)
 
 
-def yes_to_queries(path: Path, dataset: Dataset, known: Truth) -> None:
+def yes_to_queries(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write a classifier that says yes to whatever it is asked and claims nothing on the grid; it must not rank."""
     count = len(known.labels.symmetry_group) * (1 + DECOY_COSETS)
     columns = {
         "query_probability": np.ones((len(known), count), dtype=np.float32),
         **_on_grid([np.zeros(0, dtype=np.int64)] * len(known)),
     }
-    write_columns(path, dataset, "classifier", columns, method="yes to every query")
+    write_columns(path, dataset, "classifier", columns, method="yes to every query", grid_level=level)
 
 
 ROWS: dict[str, Write] = {
@@ -99,18 +100,24 @@ ROWS: dict[str, Write] = {
 }
 
 
-def score_row(name: str, datasets: Sequence[Dataset], workplace: Path) -> dict[str, Any]:
+def score_row(name: str, datasets: Sequence[Dataset], workplace: Path, level: int = STANDARD_LEVEL) -> dict[str, Any]:
     """Return the scores document of one reference row on some sets.
 
     Args:
         name: of the row, one of `ROWS`.
         datasets: whole splits, one an object.
         workplace: an empty folder for the predictions files.
+        level: of the grid; other levels than the standard one do not rank.
+
+    Raises:
+        ScoresError: two sets are of one object.
     """
+    if len({dataset.object for dataset in datasets}) < len(datasets):
+        raise ScoresError("more than one of the sets is of the same object; score one set an object")
     paths = [workplace / f"{dataset.object}.h5" for dataset in datasets]
     scores: list[ObjectScores] = []
     for path, dataset in zip(paths, datasets, strict=True):
-        ROWS[name](path, dataset, truth_of(dataset))
+        ROWS[name](path, dataset, truth_of(dataset), level)
         scores.append(score_file(path, dataset.folder))
     return report.to_document(scores, paths)
 
@@ -141,6 +148,7 @@ def _write_classifier(
     claimed: npt.NDArray[np.bool_],
     on_grid: Sequence[npt.NDArray[np.int64]],
     method: str,
+    level: int,
 ) -> None:
     """Write a classifier that is certain of some candidates (N, G) and grid rotations, and denies the rest."""
     queries = Queries(dataset.fingerprint, dataset.symmetry_group)
@@ -150,7 +158,7 @@ def _write_classifier(
         asked[0] = row
         probability[i] = queries.shuffle(i, asked)
     columns = {"query_probability": probability, **_on_grid(on_grid)}
-    write_columns(path, dataset, "classifier", columns, method=method)
+    write_columns(path, dataset, "classifier", columns, method=method, grid_level=level)
 
 
 def _on_grid(cells: Sequence[npt.NDArray[np.int64]]) -> dict[str, npt.NDArray[Any]]:

@@ -63,7 +63,7 @@ BENCHMARK = {
     "classifier": ("recall", "precision", "f_measure", "hard_negative_rate"),
     "density": ("log_likelihood", "log_likelihood_ceiling", "spread_rad"),
 }
-_LISTS = re.compile(r"\[[^\[\]{}]*\]")  # innermost lists
+_LISTS = re.compile(r"\[\n[^\[\]{}]*\]")  # innermost lists; a string holds no line break
 F_NOTE = (
     "F is not compared from one stratum to another: a set of 720 has more grid rotations around it than a set of 1,\n"
     "but not 720 times as many, so that equally tight answers have other precisions."
@@ -136,7 +136,7 @@ def _figure(figure: Figure) -> dict[str, Any]:
 
 
 def _per_image(scores: ObjectScores) -> dict[str, Any]:
-    """Return what `compare` needs: strata, set sizes and the table's metrics of each image, to nine digits."""
+    """Return what `compare` needs: strata, set sizes and the table's metrics of each image, to twelve digits."""
     truth = scores.truth
     return {
         "set_size": truth.set_sizes.tolist(),
@@ -164,7 +164,7 @@ def _number(value: float) -> float | None:
 def to_json(document: dict[str, Any]) -> str:
     """Return a document as JSON that a person can read down to the figures and that has one line a list."""
     text = json.dumps(document, indent=1, allow_nan=False)
-    return _LISTS.sub(lambda found: " ".join(found.group().split()), text) + "\n"
+    return _LISTS.sub(lambda found: re.sub(r"\n *", " ", found.group()), text) + "\n"
 
 
 def tables(document: dict[str, Any]) -> str:
@@ -202,12 +202,13 @@ def _track_table(track: str, entry: dict[str, Any]) -> list[str]:
 def _cell(figure: dict[str, Any]) -> str:
     if figure["value"] is None:
         return "-"
-    interval = "" if figure["low"] is None else f" [{_short(figure['low'])}, {_short(figure['high'])}]"
-    return _short(figure["value"]) + interval
+    interval = "" if figure["low"] is None else f" [{short(figure['low'])}, {short(figure['high'])}]"
+    return short(figure["value"]) + interval
 
 
-def _short(value: float) -> str:
-    return f"{value:.4f}" if value == 0 or abs(value) >= 1e-3 else f"{value:.1e}"
+def short(value: float, sign: str = "-") -> str:
+    """Return a figure with four decimals, or as a power of ten where those say nothing; sign "+" always shows one."""
+    return f"{value:{sign}.4f}" if value == 0 or abs(value) >= 1e-3 else f"{value:{sign}.1e}"
 
 
 def _benchmark(document: dict[str, Any]) -> str:
@@ -222,8 +223,8 @@ def _benchmark(document: dict[str, Any]) -> str:
         for metric in metrics:
             values = [entry["all"][metric]["value"] for entry in entries.values()]
             known = [value for value in values if value is not None]
-            mean = _short(float(np.mean(known))) if known else "-"
-            rows.append([titles[metric].strip(), *("-" if v is None else _short(v) for v in values), mean])
+            mean = short(float(np.mean(known))) if known else "-"
+            rows.append([titles[metric].strip(), *("-" if v is None else short(v) for v in values), mean])
         lines += ["", *aligned(rows)]
     return "\n".join(lines)
 

@@ -1,6 +1,7 @@
 """A scorer a track: from one image's predictions and its truth to that image's figures."""
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +26,8 @@ from symsol_annot.so3 import Angles, Rotations
 ANGLES_DEG = (1, 2, 5, 10, 15, 30)
 SWEPT_THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 NEAR_SET_RAD = float(np.radians(0.5))
-HARD_NEGATIVE_RAD = float(np.radians(5.0)) + 1e-9  # five steps of the lattice are not more than 5 degrees
+_ROUNDING_RAD = 1e-9  # neighbours on the lattice are 1, 2, .. degrees apart, which is where the thresholds lie
+HARD_NEGATIVE_RAD = float(np.radians(5.0)) + _ROUNDING_RAD
 _MANY_MEMBERS = 24  # from where the circles are faster than all pairs
 _DECOY_FACTOR, _DECOY_SLACK = 3.0, 0.01
 
@@ -43,7 +45,7 @@ class HypothesesScorer:
 
     def __init__(self, track: HypothesesTrack, truth: Truth) -> None:
         self._truth = truth
-        self._thresholds_rad = np.radians(ANGLES_DEG)
+        self._thresholds_rad = np.radians(ANGLES_DEG) + _ROUNDING_RAD
         self.name = f"hypotheses (M = {track.count})"
         self.facts: Facts = {"M": track.count}
 
@@ -131,8 +133,8 @@ class ClassifierScorer:
         candidates, decoys = asked[0], asked[1:]
         grid_indices, grid_probability = block.on_grid.row(r)
         size, set_size, s = grid_size(self._level), int(mask.sum()), self._standard
-        tp = np.count_nonzero(candidates[mask] > self._thresholds[:, None], axis=1)
-        fp = len(grid_probability) - np.searchsorted(np.sort(grid_probability), self._thresholds, side="right")
+        tp = _count_above(candidates[mask], self._thresholds)
+        fp = _count_above(grid_probability, self._thresholds)
         recall, precision = metrics.recall(tp, set_size), metrics.precision(tp, fp)
         f_measure = metrics.f_measure(tp, fp, set_size)
         claimed = grid_indices[grid_probability > STANDARD_THRESHOLD]
@@ -194,15 +196,16 @@ class DensityScorer:
     def _score_image(self, block: DensityBlock, r: int) -> Row:
         i, size, labels = int(block.image_index[r]), len(self._grid), self._truth.labels
         members = labels.symmetry_set(i)
-        indices, log_probability = block.on_grid.row(r)
+        indices, stored = block.on_grid.row(r)
+        log_probability = stored.astype(np.float64)
         listed = np.exp(log_probability)
-        rest = (1.0 - listed.sum()) / (size - len(listed)) if len(listed) < size else 0.0
+        rest = (1.0 - listed.sum()) / (size - len(listed)) if len(listed) < size else 1.0
         angles = self._angles_to_set(i, members)
         cells, cell_of_gt = self._grid.nearest(members), self._grid.nearest(labels.rotation[i][None])
         best_cells, shares = np.unique(cells, return_counts=True)
         best = shares / len(members)
-        at_members, at_gt = (_looked_up(indices, listed, at, rest) for at in (cells, cell_of_gt))
-        best_at_members, best_at_gt = (_looked_up(best_cells, best, at, 0.0) for at in (cells, cell_of_gt))
+        at_members, at_gt = (_looked_up(indices, log_probability, at, np.log(rest)) for at in (cells, cell_of_gt))
+        best_at_members, best_at_gt = (_looked_up(best_cells, np.log(best), at, 0.0) for at in (cells, cell_of_gt))
         return {
             "log_likelihood": (metrics.log_likelihood(at_members, size), 1),
             "log_likelihood_ceiling": (metrics.log_likelihood(best_at_members, size), 1),
@@ -230,6 +233,12 @@ Scorer = HypothesesScorer | ClassifierScorer | DensityScorer
 def _share(flags: npt.NDArray[np.bool_]) -> tuple[float, float]:
     """Return the share of flags that are set and weight 1; of none, NaN and weight 0."""
     return (float(flags.mean()), 1) if len(flags) else (np.nan, 0)
+
+
+def _count_above(probability: npt.NDArray[Any], thresholds: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    """Return how many probabilities are above each threshold, compared in the type that they are stored in."""
+    in_order = np.sort(probability)
+    return len(in_order) - np.searchsorted(in_order, thresholds.astype(in_order.dtype), side="right")
 
 
 def _looked_up(

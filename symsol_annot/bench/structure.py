@@ -86,7 +86,7 @@ class Structure:
 
     def has_attributes(self, expected: dict[str, type], track: str) -> bool:
         """Check that attributes are there, of their types, and say what the truth says."""
-        found, before = self.file.attributes, len(self.faults)
+        found, right, before = self.file.attributes, self._right_attributes(), len(self.faults)
         for name, kind in expected.items():
             value, odd = found.get(name), self.file.odd_attributes.get(name)
             if odd or value is None:
@@ -94,10 +94,9 @@ class Structure:
                 self.faults.add(track, f"attribute {name!r} {reason}")
             elif not isinstance(value, int | float if kind is float else kind):
                 self.faults.add(track, f"attribute {name!r}: expected {_WORDS[kind]}, found {shown(value)}")
-        for name, right in self._right_attributes().items():
-            if name in expected and name in found and found[name] != right:
+            elif name in right and value != right[name]:
                 advice = _ADVICE.get(name, "")
-                self.faults.add(track, f"attribute {name!r}: expected {right!r}, found {shown(found[name])}{advice}")
+                self.faults.add(track, f"attribute {name!r}: expected {right[name]!r}, found {shown(value)}{advice}")
         return len(self.faults) == before
 
     def is_shaped(self, name: str, types: tuple[str, ...], shape: tuple[int | str, ...]) -> bool:

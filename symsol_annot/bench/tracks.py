@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,8 +25,7 @@ from symsol_annot.so3 import Rotations, rotation_deviation
 
 _BLOCK_BYTES = 2**24
 _BLOCK_ENTRIES = 2**21
-_LEAST_LOG = -700.0  # whose exponential is still a positive number
-_LEAST_WEIGHT = 1e-300  # of the largest one, so that no product with an angle vanishes
+_LEAST_LOG = -1e6  # so that sums over images are finite
 _ALL_LISTED = 1e-5  # how far from 1 the sum of a density may be that lists every cell
 
 Indices = npt.NDArray[np.int64]
@@ -39,14 +39,14 @@ class SparseRows:
     Attributes:
         offsets: (b + 1,) image r has the entries offsets[r] : offsets[r + 1].
         indices: (K,) grid indices, ascending within an image.
-        values: (K,) f8.
+        values: (K,) f4 or f8, as stored.
     """
 
     offsets: Indices
     indices: Indices
-    values: npt.NDArray[np.float64]
+    values: npt.NDArray[Any]
 
-    def row(self, r: int) -> tuple[Indices, npt.NDArray[np.float64]]:
+    def row(self, r: int) -> tuple[Indices, npt.NDArray[Any]]:
         """Return the indices and values of one image."""
         entries = slice(self.offsets[r], self.offsets[r + 1])
         return self.indices[entries], self.values[entries]
@@ -59,10 +59,7 @@ class SparseRows:
 
 @dataclass(frozen=True, eq=False)
 class HypothesesBlock:
-    """Hypotheses of b images: image_index (b,), hypotheses (b, M, 3, 3) f8, weights (b, M) f8 or None for all alike.
-
-    The largest weight of an image is 1.
-    """
+    """Hypotheses of b images: image_index (b,), hypotheses (b, M, 3, 3) f8, weights (b, M) f8 or None for all alike."""
 
     image_index: Indices
     hypotheses: Rotations
@@ -71,10 +68,10 @@ class HypothesesBlock:
 
 @dataclass(frozen=True, eq=False)
 class ClassifierBlock:
-    """A classifier's answers about b images: image_index (b,), query_probability (b, Q) f8, and on the grid."""
+    """A classifier's answers about b images: image_index (b,), query_probability (b, Q) as stored, and on the grid."""
 
     image_index: Indices
-    query_probability: npt.NDArray[np.float64]
+    query_probability: npt.NDArray[Any]
     on_grid: SparseRows
 
 
@@ -127,7 +124,7 @@ class HypothesesTrack:
                 good, used = self._check_weights(start, weights), weights > 0
             good &= self._check_rotations(start, hypotheses, used, tolerance)
             yield HypothesesBlock(
-                image_index[start:stop][good], hypotheses[good], None if weights is None else _relative(weights[good])
+                image_index[start:stop][good], hypotheses[good], None if weights is None else weights[good]
             )
 
     def _check_weights(self, start: int, weights: npt.NDArray[np.float64]) -> Flags:
@@ -214,7 +211,7 @@ class _GridTrack:
             stop = min(max(start + 1, fitting), start + most_rows, len(bounds) - 1)
             first, last = int(bounds[start]), int(bounds[stop])
             indices = self._file.read(self.indices, first, last).astype(np.int64)
-            values = self._structure.read_reals(self.values, first, last)
+            values = self._file.read(self.values, first, last)
             rows = SparseRows(bounds[start : stop + 1] - first, indices, values)
             yield slice(start, stop), rows
             start = stop
@@ -260,7 +257,7 @@ class ClassifierTrack(_GridTrack):
     def blocks(self, image_index: Indices) -> Iterator[ClassifierBlock]:
         """Yield the images, but for blocks that have a fault."""
         for rows, on_grid in self._sparse_blocks(8 * self._structure.facts("query_probability").shape[1]):
-            probability = self._structure.read_reals("query_probability", rows.start, rows.stop)
+            probability = self._file.read("query_probability", rows.start, rows.stop)
             strange = ~((probability >= 0) & (probability <= 1)).all(axis=1)  # NaN is strange too
             not_above = on_grid.any_in_row(~((on_grid.values > self.floor) & (on_grid.values <= 1)))
             self._faults.add_rows(self.name, "'query_probability' is not in [0, 1]", rows.start, strange)
@@ -291,18 +288,14 @@ class DensityTrack(_GridTrack):
 
     def _check_mass(self, start: int, on_grid: SparseRows, good: Flags) -> Flags:
         """Check that the listed cells leave something to the others or, where all are listed, add up to 1."""
-        mass = np.array([np.exp(on_grid.row(r)[1]).sum() if good[r] else 0.0 for r in range(len(good))])
+        mass = np.array(
+            [np.exp(on_grid.row(r)[1].astype(np.float64)).sum() if good[r] else 0.0 for r in range(len(good))]
+        )
         lists_all = np.diff(on_grid.offsets) == grid_size(self.grid_level)
         is_off = good & np.where(lists_all, np.abs(mass - 1.0) > _ALL_LISTED, mass >= 1.0)
         reason = "the listed cells must hold less than 1, so that something is left for the others (all listed: 1)"
         self._faults.add_rows(self.name, reason, start, is_off, lambda row: f"they hold {mass[row]:.9g}")
         return ~is_off
-
-
-def _relative(weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return weights (b, M) over the largest of their row; what is positive stays so."""
-    relative = weights / weights.max(axis=1, keepdims=True)
-    return np.where(weights > 0, np.maximum(relative, _LEAST_WEIGHT), 0.0)
 
 
 Track = HypothesesTrack | ClassifierTrack | DensityTrack
