@@ -3,6 +3,7 @@
 Exit codes: 0 done, 1 the input or the data is wrong, 2 the command line is, 130 interrupted.
 """
 
+import io
 import signal
 import sys
 
@@ -36,6 +37,9 @@ for command in (render, objects, doctor, info, verify, plot, queries, validate, 
 
 def main() -> None:
     """Run the command line and exit."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without arrows gets question marks, not a traceback
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is half done goes
     try:
         code = app.main(standalone_mode=False)

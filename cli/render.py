@@ -31,6 +31,13 @@ from symsol_annot.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, Render
     show_default=True,
     help="Which splits get symmetry sets.",
 )
+@click.option(
+    "--annotate-method",
+    type=click.Choice(["auto", "exhaustive"]),
+    default="auto",
+    show_default=True,
+    help="auto: geometry decides where it can, on convex bodies. exhaustive: draw every candidate. Same bytes.",
+)
 @click.option("--workers", type=click.IntRange(min=1), default=None, help="Blender processes.  [default: all cores]")
 def render(
     spec: ObjectSpec,
@@ -41,6 +48,7 @@ def render(
     size: int,
     engine: str,
     annotate: str,
+    annotate_method: str,
     workers: int | None,
 ) -> None:
     """Make an object's image set: RGB, segmentation and symmetry sets, in HDF5 shards.
@@ -58,7 +66,12 @@ def render(
         bar.set_description(spec.name)
         try:
             manifest = generate(
-                plan, folder, partial(RenderProcess, spec, camera, settings), workers or _cores(), bar.update
+                plan,
+                folder,
+                partial(RenderProcess, spec, camera, settings),
+                workers or _cores(),
+                bar.update,
+                exhaustive=annotate_method == "exhaustive",
             )
         except KeyboardInterrupt:
             bar.close()

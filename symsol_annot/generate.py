@@ -24,6 +24,7 @@ from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import Camera, Renderer, RenderSettings
 from symsol_annot.shards import ImageRecord, ShardFile, ShardHeader, ShardWriter, read_versions, storage_versions
 from symsol_annot.so3 import Rotations, uniform_rotations
+from symsol_annot.visibility import MarkingVisibility, is_convex
 
 ANNOTATE_CHOICES = ("test", "all", "none")
 MAX_IMAGES_PER_SHARD = 500
@@ -100,7 +101,13 @@ def label_rotation(seed: int, object_name: str, split: str, index: int) -> Rotat
 
 
 def generate(
-    plan: SetPlan, folder: Path, open_renderer: OpenRenderer, workers: int = 1, on_image: OnImage = lambda: None
+    plan: SetPlan,
+    folder: Path,
+    open_renderer: OpenRenderer,
+    workers: int = 1,
+    on_image: OnImage = lambda: None,
+    *,
+    exhaustive: bool = False,
 ) -> Manifest:
     """Make the shards of a plan that the folder does not hold yet, and return the finished manifest.
 
@@ -110,6 +117,7 @@ def generate(
         open_renderer: starts a renderer; each worker calls it once.
         workers: how many shards are made at the same time.
         on_image: called after each image, also for those of shards that are there already.
+        exhaustive: draw every candidate, also where geometry decides; the bytes are the same.
 
     Raises:
         DifferentSetError: the folder holds another set; nothing was touched.
@@ -122,8 +130,17 @@ def generate(
         if entry.is_finished:
             for _ in range(entry.images):
                 on_image()
-    _Run(plan, folder, open_renderer, on_image, manifest).carry_out(workers)
+    visibility = None if exhaustive else visibility_of(plan)
+    _Run(plan, folder, open_renderer, on_image, manifest, visibility).carry_out(workers)
     return read_manifest(folder)
+
+
+def visibility_of(plan: SetPlan) -> MarkingVisibility | None:
+    """Return what decides by geometry whether a plan's marking shows; None without a marking or a convex body."""
+    spec = plan.spec
+    if spec.marking is None or not is_convex(spec.mesh):
+        return None
+    return MarkingVisibility(spec.mesh, plan.camera, plan.settings)
 
 
 def _open_set(plan: SetPlan, folder: Path) -> Manifest:
@@ -172,10 +189,16 @@ class _Run:
     """One carrying-out of a plan; its threads share the queue of shards, the manifest and the will to stop."""
 
     def __init__(
-        self, plan: SetPlan, folder: Path, open_renderer: OpenRenderer, on_image: OnImage, manifest: Manifest
+        self,
+        plan: SetPlan,
+        folder: Path,
+        open_renderer: OpenRenderer,
+        on_image: OnImage,
+        manifest: Manifest,
+        visibility: MarkingVisibility | None,
     ) -> None:
         self._plan, self._folder, self._open_renderer, self._on_image = plan, folder, open_renderer, on_image
-        self._manifest = manifest
+        self._manifest, self._visibility = manifest, visibility
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._is_prepared = False
@@ -220,7 +243,7 @@ class _Run:
                     entry = self._queue.get_nowait()
                 except Empty:
                     return
-                shard = make_shard(self._plan, entry, renderer, self._image_done)
+                shard = make_shard(self._plan, entry, renderer, self._image_done, self._visibility)
                 self._keep(entry, shard)
 
     def _prepare_folder(self, versions: dict[str, str]) -> None:
@@ -255,7 +278,13 @@ class _StoppedError(Exception):
     """Another worker failed, or the user pressed Ctrl-C."""
 
 
-def make_shard(plan: SetPlan, entry: ShardEntry, renderer: Renderer, on_image: OnImage) -> ShardFile:
+def make_shard(
+    plan: SetPlan,
+    entry: ShardEntry,
+    renderer: Renderer,
+    on_image: OnImage,
+    visibility: MarkingVisibility | None = None,
+) -> ShardFile:
     """Draw and annotate the images of one shard."""
     spec = plan.spec
     header = ShardHeader(
@@ -278,7 +307,7 @@ def make_shard(plan: SetPlan, entry: ShardEntry, renderer: Renderer, on_image: O
             pixels = marking_pixels(spec, R_gt, renderer)
             mask = None
             if annotated:
-                annotation = annotate(spec, R_gt, pixels, renderer)
+                annotation = annotate(spec, R_gt, pixels, renderer, visibility)
                 mask, drawn = annotation.mask, annotation.candidate_pixels
                 candidates += int(np.count_nonzero(np.isfinite(drawn)))
                 within_tolerance += int(np.count_nonzero((drawn > 0) & ~is_shown(spec, drawn)))

@@ -19,7 +19,9 @@ Counts = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-VERTEX_SHIFT = 1.0 / 256.0  # samples: half a step of a 1/256 sub-pixel grid, and as much again for float32
+# By how many samples a projected vertex can be off: half a step of a rasteriser's 1/256 sub-pixel grid and as much
+# again for float32; Cycles casts rays up to 0.005 samples beside the centres.
+VERTEX_SHIFT = {"workbench": 1.0 / 256.0, "eevee": 1.0 / 256.0, "cycles": 1.0 / 64.0}
 _QUICK_TRIANGLES = 6
 _CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
 
@@ -43,6 +45,7 @@ class MarkingVisibility:
 
     def __init__(self, mesh: Mesh, camera: Camera, settings: RenderSettings) -> None:
         self._camera, self._scale = camera, settings.samples_per_axis
+        self._shift = VERTEX_SHIFT[settings.engine]
         triangles = mesh.triangles[mesh.is_marking]
         used, local = np.unique(triangles, return_inverse=True)
         self._vertices, self._triangles = mesh.vertices[used], local.reshape(-1, 3)
@@ -53,7 +56,7 @@ class MarkingVisibility:
         nearest, farthest = camera.distance - 1.0, camera.distance + 1.0
         focal = self._scale * camera.focal_px
         longest = 2.0 * np.sqrt(2.0) * focal / nearest * np.sort(edges, axis=1)[:, 1:].sum(axis=1)  # in any view
-        slack = 2.0 * VERTEX_SHIFT * longest + 8.0 * VERTEX_SHIFT**2
+        slack = 2.0 * self._shift * longest + 8.0 * self._shift**2
         self._surely_back = -slack * farthest**3 / focal**2
 
     def areas(self, R_m2c: Rotations, tolerance_px: float) -> Floats:
@@ -101,13 +104,13 @@ class MarkingVisibility:
         few = min(_QUICK_TRIANGLES, facing.shape[1])
         best = np.argpartition(-facing, few - 1, axis=1)[:, :few]
         corners = self._project(R_m2c[:, None], self._vertices[self._triangles[best]])
-        return _surely_inside(corners)
+        return _surely_inside(corners, self._shift)
 
     def _count(self, R_m2c: Rotations, perhaps: Flags) -> tuple[Counts, Counts]:
         """Return close bounds, by going through the rows of the triangles that may be drawn (n, T)."""
         image, triangle = np.nonzero(perhaps)
         corners = self._project(R_m2c[image], self._vertices[self._triangles[triangle]])
-        low, high = _count_rows(corners)
+        low, high = _count_rows(corners, self._shift)
         n = len(R_m2c)
         return np.bincount(image, low, n).astype(np.int64), np.bincount(image, high, n).astype(np.int64)
 
@@ -116,16 +119,16 @@ class MarkingVisibility:
         return self._scale * self._camera.project(corners @ np.swapaxes(R_m2c, -1, -2))
 
 
-def _signed_area(corners: Floats) -> tuple[Floats, Floats]:
+def _signed_area(corners: Floats, vertex_shift: float) -> tuple[Floats, Floats]:
     """Return twice the area, positive where a triangle faces the camera, and how much moved vertices can change it."""
     a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
     first, second = b - a, c - a
     area = first[..., 1] * second[..., 0] - first[..., 0] * second[..., 1]  # rows run downwards
     lengths = np.abs(first[..., 0]) + np.abs(first[..., 1]) + np.abs(second[..., 0]) + np.abs(second[..., 1])
-    return area, 2.0 * VERTEX_SHIFT * lengths + 8.0 * VERTEX_SHIFT**2
+    return area, 2.0 * vertex_shift * lengths + 8.0 * vertex_shift**2
 
 
-def _edges(corners: Floats) -> list[tuple[Floats, Floats, Floats, Floats]]:
+def _edges(corners: Floats, vertex_shift: float) -> list[tuple[Floats, Floats, Floats, Floats]]:
     """Return the three edges as (x, y, offset, shift): x u + y v >= offset inside a triangle that faces the camera.
 
     Moved vertices move an edge's offset by at most the shift.
@@ -134,39 +137,39 @@ def _edges(corners: Floats) -> list[tuple[Floats, Floats, Floats, Floats]]:
     for k in range(3):
         here, there = corners[..., k, :], corners[..., (k + 1) % 3, :]
         x, y = there[..., 1] - here[..., 1], here[..., 0] - there[..., 0]
-        edges.append((x, y, x * here[..., 0] + y * here[..., 1], VERTEX_SHIFT * (np.abs(x) + np.abs(y))))
+        edges.append((x, y, x * here[..., 0] + y * here[..., 1], vertex_shift * (np.abs(x) + np.abs(y))))
     return edges
 
 
-def _surely_inside(corners: Floats) -> Counts:
+def _surely_inside(corners: Floats, vertex_shift: float) -> Counts:
     """Return a cheap lower bound for the samples in triangles (n, k, 3, 2): (n,).
 
     A triangle surely holds the sample nearest to its middle where that is deep enough inside. And a convex region of
     area A and perimeter P holds more than A - P / 2 points of a unit lattice (Nosarzewska, 1948).
     """
-    area, slack = _signed_area(corners)
+    area, slack = _signed_area(corners, vertex_shift)
     u, v = np.moveaxis(np.floor(corners.mean(axis=-2)) + 0.5, -1, 0)
     is_inside, perimeter = area > slack, np.zeros(area.shape)
-    for x, y, offset, shift in _edges(corners):
+    for x, y, offset, shift in _edges(corners, vertex_shift):
         is_inside &= x * u + y * v - offset > shift
         perimeter += np.hypot(x, y)
-    at_least = np.floor(area / 2.0 - (np.sqrt(2.0) * VERTEX_SHIFT + 0.5) * perimeter) + 1.0
+    at_least = np.floor(area / 2.0 - (np.sqrt(2.0) * vertex_shift + 0.5) * perimeter) + 1.0
     return np.where(area > slack, np.maximum(is_inside, at_least), 0.0).sum(axis=-1).astype(np.int64)
 
 
-def _count_rows(corners: Floats) -> tuple[Counts, Counts]:
+def _count_rows(corners: Floats, vertex_shift: float) -> tuple[Counts, Counts]:
     """Return the samples that are surely, and those that are possibly, in each of k triangles (k, 3, 2).
 
     A triangle that may face away surely holds none, and one that surely does possibly none.
     """
-    area, slack = _signed_area(corners)
-    low, high = corners.min(axis=1) - VERTEX_SHIFT, corners.max(axis=1) + VERTEX_SHIFT
+    area, slack = _signed_area(corners, vertex_shift)
+    low, high = corners.min(axis=1) - vertex_shift, corners.max(axis=1) + vertex_shift
     first, last = np.ceil(low - 0.5), np.floor(high - 0.5)  # columns and rows that hold sample centres
     (spanning,) = np.nonzero((area > -slack) & (last >= first).all(axis=1))
     rows = (last - first)[spanning, 1].astype(np.int64) + 1
     triangle = np.repeat(spanning, rows)
     v = first[triangle, 1] + 0.5 + np.arange(len(triangle)) - np.repeat(np.cumsum(rows) - rows, rows)
-    edges = _edges(corners[triangle])
+    edges = _edges(corners[triangle], vertex_shift)
     left, right, count = low[triangle, 0], high[triangle, 0], len(corners)
     surely = np.where((area > slack)[triangle], _samples_between(edges, v, left, right, inwards=True), 0)
     possibly = _samples_between(edges, v, left, right, inwards=False)

@@ -455,6 +455,7 @@ NO_ROTATIONS = {
     "a singular one": (np.zeros((3, 3)), "off by 1"),
     "a sheared one": (np.eye(3) + 0.3 * np.eye(3, k=1), "off by 0.3"),
     "a huge one": (np.full((3, 3), 1e200), "off by inf"),
+    "a tiny one": (5e-318 * np.array([[0, 1, 1], [1, 2, 3], [1, 3, 2]]), "off by 1"),
     "one whose determinant is NaN": (1.7e308 * np.array([[0, 0, 1], [-1, 1, 1], [1, -1, 1]]), "off by inf"),
 }
 

@@ -1,12 +1,13 @@
 """The query file: what `queries.py` and `grid.py` compute, for those who write predictions in another language."""
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from symsol_annot.bench.format import MAX_GRID_LEVEL, is_level
+from symsol_annot.bench.hdf5_output import HDF5Output
 from symsol_annot.bench.queries import Queries, group_sha256
 from symsol_annot.dataset import Dataset
 from symsol_annot.errors import SettingsError
@@ -30,7 +31,7 @@ def write_queries(
         NotAnnotatedError: the split has no symmetry sets.
         OutputError: the file cannot be written.
     """
-    if len(dataset) != dataset.manifest.images(dataset.split):
+    if len(dataset) != dataset.manifest.images(dataset.split) or dataset[0].index != 0:
         raise SettingsError(f"{dataset!r} is a slice; queries are about a whole split")
     if not is_level(level):
         raise SettingsError(f"predictions are on grids of levels 0 to {MAX_GRID_LEVEL}, not {level!r}")
@@ -38,8 +39,8 @@ def write_queries(
     queries = Queries(dataset.fingerprint, labels.symmetry_group)
     partial = path.with_name(f".{path.name}.partial")
     try:
-        with output_errors(path), h5py.File(partial, "w", libver=("earliest", "v108")) as file:
-            file.attrs.update(
+        with output_errors(path), HDF5Output(partial) as output:
+            output.file.attrs.update(
                 {
                     "format": QUERIES_FORMAT,
                     "format_version": QUERIES_FORMAT_VERSION,
@@ -53,13 +54,17 @@ def write_queries(
             )
             stored = {"dtype": "f4", "compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
             shape = (len(labels), len(queries), 3, 3)
-            rows = file.create_dataset("query_rotation", shape, chunks=(1, *shape[1:]), track_times=False, **stored)
+            rows = output.file.create_dataset(
+                "query_rotation", shape, chunks=(1, *shape[1:]), track_times=False, **stored
+            )
             for i, R_gt in enumerate(labels.rotation):
                 rows[i] = queries.rotations(i, R_gt)
+                output.raise_failure()
                 on_image()
             grid = equivolumetric_grid(level).astype(np.float32)
-            file.create_dataset("grid_rotation", data=grid, chunks=True, track_times=False, **stored)
+            output.file.create_dataset("grid_rotation", data=grid, chunks=True, track_times=False, **stored)
         with output_errors(path):
             partial.replace(path)
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()

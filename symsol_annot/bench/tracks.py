@@ -138,13 +138,12 @@ class HypothesesTrack:
     def _check_rotations(self, start: int, hypotheses: Rotations, used: Flags, tolerance: float) -> Flags:
         is_finite = np.isfinite(hypotheses).all(axis=(2, 3)) | ~used
         self._faults.add_rows(self.name, "'hypotheses' has a NaN or an infinite entry", start, ~is_finite.all(axis=1))
-        off = np.where(used & is_finite, rotation_deviation(hypotheses), 0.0)
-        off[np.isnan(off)] = np.inf  # entries whose squares are infinite
+        off = np.where(used & is_finite, _deviation(hypotheses), 0.0)
         is_off = (off > tolerance).any(axis=1)
 
         def describe(row: int) -> str:
             m = int(np.argmax(off[row]))
-            is_reflection = off[row, m] < np.inf and abs(np.linalg.det(hypotheses[row, m]) + 1.0) < 0.1
+            is_reflection = _deviation(-hypotheses[row, m]) < 0.1
             return f"hypothesis {m}, off by {off[row, m]:.2g}{', with determinant -1' if is_reflection else ''}"
 
         reason = f"'hypotheses' holds a matrix that is no rotation (R^T R = I and det R = 1 within {tolerance:g})"
@@ -296,6 +295,13 @@ class DensityTrack(_GridTrack):
         reason = "the listed cells must hold less than 1, so that something is left for the others (all listed: 1)"
         self._faults.add_rows(self.name, reason, start, is_off, lambda row: f"they hold {mass[row]:.9g}")
         return ~is_off
+
+
+def _deviation(R: Rotations) -> npt.NDArray[np.float64]:
+    """Return how far matrices are from SO(3), infinite where that cannot be computed."""
+    with np.errstate(divide="ignore"):  # in the determinant of tiny numbers
+        deviation = rotation_deviation(R)
+    return np.where(np.isnan(deviation), np.inf, deviation)
 
 
 Track = HypothesesTrack | ClassifierTrack | DensityTrack
