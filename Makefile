@@ -8,10 +8,11 @@ INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
 .PHONY: demo test check lint format soak assets clean
 
-demo: $(INSTALLED)  ## render, annotate, verify and draw a small set of two objects, in data/
+demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of two objects, in data/
 	$(BIN)/symsol-annot render --object cylO --train 0 --test 64
 	$(BIN)/symsol-annot render --object tetX --train 0 --test 32
 	$(BIN)/symsol-annot verify data --audit 2
+	$(BIN)/symsol-annot reference data/cylO data/tetX --row evenly-placed --out data/reference
 	@echo "Pictures to look at:"
 	@$(BIN)/symsol-annot plot data/cylO
 	@$(BIN)/symsol-annot plot data/tetX

@@ -15,16 +15,18 @@ from symsol_annot.files import make_folder, write_atomically
 @click.command()
 @click.argument("folders", metavar="DATA...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @SPLIT
+@click.option("--row", "rows", type=click.Choice(list(ROWS)), multiple=True, help="One row; may be repeated.  [all]")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("reference"), show_default=True)
-def reference(folders: tuple[Path, ...], split: str, out: Path) -> None:
+def reference(folders: tuple[Path, ...], split: str, rows: tuple[str, ...], out: Path) -> None:
     """Score reference rows on sets, one an object: the truth, a blind method, random rotations and others.
 
     Writes a scores.json a row, to compare one's own with.
     """
     datasets = [dataset.load(folder, split) for folder in folders]
     make_folder(out)
-    with progress_bar(len(ROWS), "row") as bar:
-        for name in ROWS:
+    chosen = rows or tuple(ROWS)
+    with progress_bar(len(chosen), "row") as bar:
+        for name in chosen:
             bar.set_description(name)
             with tempfile.TemporaryDirectory(prefix="symsol-annot-") as workplace:
                 document = score_row(name, datasets, Path(workplace))
