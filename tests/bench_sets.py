@@ -51,7 +51,7 @@ def small_set(folder, name, images=24, seed=0):
     """Make a test split of tetX or cylO in a folder of sets, and open it."""
     if name == "cylO":
         plan = make_plan(name, test=images, size=SIZE, seed=seed)
-        generate(plan, folder / name, partial(DiscRenderer, SIZE))
+        generate(plan, folder / name, partial(DiscRenderer, SIZE), exhaustive=True)
     else:
         make_set(folder, name, test=images, size=SIZE, seed=seed)
     return load(folder / name)

@@ -89,7 +89,7 @@ def make_set(data, images):
     """Make the set and return it."""
     spec, camera = load_object("cylO"), Camera.filling(SIZE)
     plan = SetPlan(spec, {"train": 0, "test": images}, 0, camera, RenderSettings(), "test")
-    generate(plan, data / "cylO", partial(FacingRenderer, spec, camera))
+    generate(plan, data / "cylO", partial(FacingRenderer, spec, camera), exhaustive=True)
     return load(data / "cylO")
 
 

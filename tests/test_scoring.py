@@ -88,7 +88,7 @@ def sets(tmp_path_factory):
     """A folder of small sets, and the oracle's reading of each."""
     folder = tmp_path_factory.mktemp("sets")
     for name, images in IMAGES.items():
-        generate(make_plan(name, test=images, size=SIZE), folder / name, partial(LabelRenderer, name))
+        generate(make_plan(name, test=images, size=SIZE), folder / name, partial(LabelRenderer, name), exhaustive=True)
     return folder, {name: TruthOracle(folder / name) for name in IMAGES}
 
 
