@@ -48,7 +48,7 @@ def check_rotations(R: npt.ArrayLike, what: str, tolerance: float = ORTHONORMAL_
 
 def rotation_deviation(R: Rotations) -> npt.NDArray[np.float64]:
     """Return how far each (..., 3, 3) matrix is from SO(3): the larger of |R^T R - I| and |det R - 1|."""
-    with np.errstate(invalid="ignore", over="ignore"):  # NaN and inf come out as NaN or inf
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):  # NaN and inf come out as NaN or inf
         gram = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-2, -1))
         return np.maximum(gram, np.abs(np.linalg.det(R) - 1.0))
 

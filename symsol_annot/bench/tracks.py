@@ -299,8 +299,7 @@ class DensityTrack(_GridTrack):
 
 def _deviation(R: Rotations) -> npt.NDArray[np.float64]:
     """Return how far matrices are from SO(3), infinite where that cannot be computed."""
-    with np.errstate(divide="ignore"):  # in the determinant of tiny numbers
-        deviation = rotation_deviation(R)
+    deviation = rotation_deviation(R)
     return np.where(np.isnan(deviation), np.inf, deviation)
 
 
