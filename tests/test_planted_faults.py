@@ -20,8 +20,8 @@ SETS = "test_annotate.py::test_a_hidden_marking_leaves_all_that_hide_it"
 FAULTS = {
     "multiplied from the left": (
         "symsol_annot/annotate.py",
-        "R_gt @ spec.symmetry_group[others.reshape(-1)]",
-        "spec.symmetry_group[others.reshape(-1)] @ R_gt",
+        "R_gt @ spec.symmetry_group[others]",
+        "spec.symmetry_group[others] @ R_gt",
         SETS,
     ),
     "set multiplied from the left": (
@@ -71,6 +71,30 @@ FAULTS = {
         "if is_shown(spec, pixels):",
         "if not len(cosets):",
         "test_annotate.py::test_a_shown_marking_leaves_the_stabiliser",
+    ),
+    "geometry seen from behind": (
+        "symsol_annot/visibility.py",
+        "camera = -self._camera.distance * R_m2c[:, 2]",
+        "camera = self._camera.distance * R_m2c[:, 2]",
+        "test_visibility.py::test_a_ray_casters_count_lies_between_the_bounds[1000000000-tetX]",
+    ),
+    "bounds moved the wrong way": (
+        "symsol_annot/visibility.py",
+        "offset + shift if inwards else offset - shift",
+        "offset - 99 * shift if inwards else offset + 99 * shift",
+        "test_visibility.py::test_a_ray_casters_count_lies_between_the_bounds[1000000000-tetX]",
+    ),
+    "positives at the threshold": (
+        "symsol_annot/bench/scorers.py",
+        'thresholds.astype(in_order.dtype), side="right"',
+        'thresholds.astype(in_order.dtype), side="left"',
+        "test_scoring.py::test_a_float32_answer_of_the_threshold_is_no_claim_either",
+    ),
+    "queries in order": (
+        "symsol_annot/bench/queries.py",
+        "in_order[order] = probability",
+        "in_order[:] = probability",
+        "test_queries.py::test_unshuffle_puts_candidates_in_row_0_and_decoys_in_the_others_in_the_order_of_the_group",
     ),
 }
 
