@@ -23,8 +23,8 @@ _ENGINE_IDS = {"workbench": "BLENDER_WORKBENCH", "cycles": "CYCLES", "eevee": "B
 _SENSOR_WIDTH = 36.0
 _CLIP_MARGIN = 1.5  # bounding-sphere radii in front of and behind the object's centre
 _ID_COLOURS = {BODY: (0.0, 1.0, 0.0), MARKING: (1.0, 0.0, 0.0)}
-_WINDOW_STEP = 16  # sides of the windows for counting are multiples of this: few sizes, few reallocations
-_WINDOW_MARGIN = 2
+_WINDOW_STEP = 16  # sides of windows are multiples of this: few sizes, few reallocations
+_WINDOW_MARGIN = 2  # pixels around what a window holds, so that its corner shows the background
 
 
 class BlenderRenderer:
@@ -33,7 +33,7 @@ class BlenderRenderer:
     def __init__(self, mesh: Mesh, camera: Camera, settings: RenderSettings) -> None:
         self._camera = camera
         self._settings = settings
-        self._marking_vertices = mesh.marking_vertices
+        self._vertices, self._marking_vertices = mesh.vertices, mesh.marking_vertices
         n = settings.samples_per_axis
         self._lattice = _Window(0, 0, camera.width * n, camera.height * n)
         self._frame = _FrameFile()
@@ -67,12 +67,12 @@ class BlenderRenderer:
         n = self._settings.samples_per_axis
         self._turn(R_m2c)
         self._shading.show_looks()
-        samples = self._draw(self._lattice, scale=n)
+        samples = self._draw_object(R_m2c, scale=n)
         window = self._marking_window(R_m2c)
         if window is not None and window != self._lattice:
             samples[window.rows, window.columns] = self._draw(window, scale=n)
         self._shading.show_ids()
-        segmentation = _decode_ids(self._draw(_Window(0, 0, self._camera.width, self._camera.height), scale=1))
+        segmentation = _decode_ids(self._draw_object(R_m2c, scale=1))
         if not np.any(segmentation):
             raise RenderError("a frame came back empty: the object is not in it")
         return View(box_filter(samples, n), segmentation)
@@ -103,6 +103,21 @@ class BlenderRenderer:
             return self._lattice
         left, top = np.clip(low, 0, [self._lattice.width - side, self._lattice.height - side]).tolist()
         return _Window(left, top, side, side)
+
+    def _draw_object(self, R_m2c: Rotations, scale: int) -> npt.NDArray[np.uint8]:
+        """Draw the window that the object spans, and fill the rest of the enlarged image with its corner's colour."""
+        shape = (self._camera.height * scale, self._camera.width * scale)
+        corners = scale * self._camera.project(self._vertices @ R_m2c.T)
+        low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - _WINDOW_MARGIN, 0)
+        high = np.ceil(corners.max(axis=0)).astype(int) + _WINDOW_MARGIN
+        sides = np.minimum(-(-(high - low) // _WINDOW_STEP) * _WINDOW_STEP, shape[::-1])
+        left, top = np.minimum(low, shape[::-1] - sides).tolist()
+        window = _Window(left, top, *sides.tolist())
+        drawn = self._draw(window, scale)
+        frame = np.empty((*shape, 3), np.uint8)
+        frame[...] = drawn[0, 0]
+        frame[window.rows, window.columns] = drawn
+        return frame
 
     def close(self) -> None:
         """Let go of the frame's file."""
@@ -172,8 +187,11 @@ class _FrameFile:
         stride = (3 * width + 3) // 4 * 4
         if data[:2] != b"BM" or found != (width, height) or len(data) < offset + stride * height:
             raise RenderError(f"Blender wrote no {width}x{height} frame, but {len(data)} bytes of {found}")
-        rows = np.frombuffer(data, np.uint8, stride * height, offset).reshape(height, stride)[::-1, : 3 * width]
-        return rows.reshape(height, width, 3)[..., ::-1].copy()
+        rows = np.frombuffer(data, np.uint8, stride * height, offset).reshape(height, stride)[::-1]
+        frame = np.empty((height, width, 3), np.uint8)
+        for channel in range(3):  # one by one: numpy copies long strides fast and short ones slowly
+            frame[..., channel] = rows[:, 2 - channel : 3 * width : 3]
+        return frame
 
     def close(self) -> None:
         os.close(self._descriptor)

@@ -147,6 +147,10 @@ def box_filter(samples: npt.NDArray[np.uint8], samples_per_axis: int) -> npt.NDA
     """Average each square of samples: (H n, W n, C) u8 to (H, W, C) u8, halves rounded up."""
     n = samples_per_axis
     height, width, channels = samples.shape[0] // n, samples.shape[1] // n, samples.shape[2]
-    sums = samples.reshape(height, n, width, n, channels).sum(axis=(1, 3), dtype=np.uint32)
-    averages: npt.NDArray[np.uint8] = ((2 * sums + n * n) // (2 * n * n)).astype(np.uint8)
+    averages = np.empty((height, width, channels), np.uint8)
+    for channel in range(channels):  # one by one: numpy adds long strides fast and short ones slowly
+        sums = np.zeros((height, width), np.uint32)
+        for i, j in np.ndindex(n, n):
+            sums += samples[i::n, j::n, channel]
+        averages[..., channel] = (2 * sums + n * n) // (2 * n * n)
     return averages
