@@ -26,7 +26,7 @@ from symsol_annot.shards import ImageRecord, ShardFile, ShardHeader, ShardWriter
 from symsol_annot.so3 import Rotations, uniform_rotations
 from symsol_annot.visibility import MarkingVisibility, is_convex
 
-ANNOTATE_CHOICES = ("test", "all", "none")
+ANNOTATE_CHOICES = ("all", "test", "none")
 MAX_IMAGES_PER_SHARD = 500
 MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
 _MAX_PIXELS_PER_SHARD = 2**25  # a shard is built in memory
@@ -47,7 +47,7 @@ class SetPlan:
         seed: of the random rotations.
         camera: what the object is seen through.
         settings: how it is drawn.
-        annotate: which splits get symmetry sets: "test", "all" or "none".
+        annotate: which splits get symmetry sets: "all", "test" or "none".
     """
 
     spec: ObjectSpec

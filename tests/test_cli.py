@@ -39,6 +39,8 @@ TINY_SET = ("--object", "tetX", "--train", "0", "--test", "2", "--size", "16", "
 NUMPY_SET = (
     "--object",
     "tetX",
+    "--annotate",
+    "test",
     "--train",
     "5",
     "--test",
@@ -157,6 +159,13 @@ def programs(folder):
         (folder / name).write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
         (folder / name).chmod(0o755)
     return folder
+
+
+def test_every_split_gets_its_symmetry_sets_unless_told_otherwise(tmp_path):
+    done = symsol("render", *TINY_SET, "--train", "2", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    for split in ("train", "test"):
+        assert all(len(sample.symmetry_set) >= 3 for sample in symsol_annot.load(tmp_path / "tetX", split))
 
 
 def test_the_same_command_on_a_finished_set_writes_nothing(tetX_set, tmp_path):
@@ -364,7 +373,7 @@ def test_render_refuses_a_wrong_command_line_and_makes_nothing(tmp_path, words, 
         (["--object", "tetX", "--test", "-5000"], "--test"),
         (["--object", "tetX", "--seed", "-1"], "--seed"),
         (["--object", "tetX", "--engine", "povray"], "'workbench', 'cycles', 'eevee'"),
-        (["--object", "tetX", "--annotate", "some"], "'test', 'all', 'none'"),
+        (["--object", "tetX", "--annotate", "some"], "'all', 'test', 'none'"),
         (["--object", "tetX", "--size", "15"], "16<=x<=2048"),
         (["--object", "tetX", "--size", "2049"], "16<=x<=2048"),
         (["--object", "tetX", "--size", "big"], "--size"),

@@ -468,7 +468,7 @@ def test_damaged_finished_shards_are_refused_by_name_and_not_touched(half, damag
         ({"images": {"train": 0, "test": 0}}, "not all 0"),
         ({"images": {}}, "not all 0"),
         ({"images": {"test": 1, "validation": 1}}, "splits: expected train, test, found .*validation"),
-        ({"annotate": "train"}, "annotate: expected one of test, all, none, found 'train'"),
+        ({"annotate": "train"}, "annotate: expected one of all, test, none, found 'train'"),
         ({"annotate": ""}, "annotate: .*''"),
         ({"seed": -1}, "seed: expected 0 to 9223372036854775807, found -1"),
         ({"seed": 2**63}, "found 9223372036854775808"),
