@@ -2,8 +2,9 @@
 
 On a convex body a triangle is drawn where it faces the camera: nothing but the body's own front can hide it. A
 rasteriser moves each projected vertex by at most a known distance (its sub-pixel grid, float32), and draws a sample
-where its centre is inside the moved triangle. So samples that are deeper inside a triangle than that distance are
-certainly counted, and samples that are farther outside are certainly not. docs/annotation.md derives the bounds.
+where its centre is inside the moved triangle. So samples that are deeper inside the outline of the marking's front than
+that distance are certainly counted, and samples that are farther outside are certainly not. docs/annotation.md derives
+the bounds.
 """
 
 import math
@@ -11,6 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.lattice import Segments, count_inside, is_inside, samples_near
 from symsol_annot.mesh import Mesh
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.so3 import Rotations
@@ -19,19 +21,17 @@ Counts = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-# By how many samples a projected vertex can be off: half a step of a rasteriser's 1/256 sub-pixel grid and as much
-# again for float32; Cycles casts rays up to 0.005 samples beside the centres.
-VERTEX_SHIFT = {"workbench": 1.0 / 256.0, "eevee": 1.0 / 256.0, "cycles": 1.0 / 64.0}
-_QUICK_TRIANGLES = 6
+# By how much a rasteriser moves a projected vertex: rounding to its sub-pixel grid or, for Cycles, casting rays beside
+# the centres, in samples; and float32 arithmetic, as a share of the lattice's width.
+_ROUNDING = {"workbench": 1.0 / 512.0, "eevee": 1.0 / 512.0, "cycles": 1.0 / 64.0}
+_FLOAT32 = 1e-6
 _CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
 
 
 def is_convex(mesh: Mesh) -> bool:
     """Tell whether a closed mesh bounds a convex body: no vertex lies outside the plane of any face."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
-    normals = np.cross(b - a, c - a)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return bool((normals @ mesh.vertices.T <= (normals * a).sum(axis=1)[:, None] + _CONVEX).all())
+    normals, offsets = _planes(mesh)
+    return bool((normals @ mesh.vertices.T <= offsets[:, None] + _CONVEX).all())
 
 
 class MarkingVisibility:
@@ -45,19 +45,19 @@ class MarkingVisibility:
 
     def __init__(self, mesh: Mesh, camera: Camera, settings: RenderSettings) -> None:
         self._camera, self._scale = camera, settings.samples_per_axis
-        self._shift = VERTEX_SHIFT[settings.engine]
-        triangles = mesh.triangles[mesh.is_marking]
-        used, local = np.unique(triangles, return_inverse=True)
+        self._focal = self._scale * camera.focal_px
+        self._shift = vertex_shift(camera, settings)
+        used, local = np.unique(mesh.triangles[mesh.is_marking], return_inverse=True)
         self._vertices, self._triangles = mesh.vertices[used], local.reshape(-1, 3)
-        corners = self._vertices[self._triangles]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # twice the area long
-        self._planes = normals, (normals * corners[:, 0]).sum(axis=1)
-        edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
-        nearest, farthest = camera.distance - 1.0, camera.distance + 1.0
-        focal = self._scale * camera.focal_px
-        longest = 2.0 * np.sqrt(2.0) * focal / nearest * np.sort(edges, axis=1)[:, 1:].sum(axis=1)  # in any view
-        slack = 2.0 * self._shift * longest + 8.0 * self._shift**2
-        self._surely_back = -slack * farthest**3 / focal**2
+        self._body_planes = _planes(mesh)
+        self._edges, self._sides = _edges_and_sides(self._triangles)
+        a, b, c = np.moveaxis(self._vertices[self._triangles], 1, 0)
+        normals = np.cross(b - a, c - a)  # twice the area long
+        self._planes = normals, (normals * a).sum(axis=1)
+        self._two_shortest = np.sort(np.linalg.norm([b - a, c - b, a - c], axis=-1), axis=0)[:2].sum(axis=0)
+        self._edge_lengths = np.linalg.norm(np.diff(self._vertices[self._edges], axis=1)[:, 0], axis=-1)
+        self._middle = (self._vertices.min(axis=0) + self._vertices.max(axis=0)) / 2.0
+        self._radius = np.linalg.norm(self._vertices - self._middle, axis=1).max()
 
     def areas(self, R_m2c: Rotations, tolerance_px: float) -> Floats:
         """Return an area (n,) in pixels under each rotation (n, 3, 3), or NaN where geometry does not decide.
@@ -81,13 +81,14 @@ class MarkingVisibility:
             (n,) and (n,); the renderer's count lies between them.
         """
         facing = self._facing(R_m2c)
-        lower, upper = np.zeros((2, len(R_m2c)), dtype=np.int64)
-        (seen,) = np.nonzero((facing > self._surely_back).any(axis=1))
-        upper[seen] = np.iinfo(np.int64).max
-        lower[seen] = self._count_quickly(R_m2c[seen], facing[seen])
+        depth = R_m2c[:, 2] @ self._middle + self._camera.distance
+        near, far = (depth - self._radius)[:, None], (depth + self._radius)[:, None]
+        slack = self._facing_slack(near, far)
+        lower = self._surely(facing, near, far)
+        upper = np.where((facing > -slack).any(axis=1), np.iinfo(np.int64).max, 0)
         (open_,) = np.nonzero((upper > 0) & (lower < enough))
         if len(open_):
-            lower[open_], upper[open_] = self._count(R_m2c[open_], facing[open_] > self._surely_back)
+            lower[open_], upper[open_] = self._count(R_m2c[open_], facing[open_], slack[open_])
         return lower, upper
 
     def _facing(self, R_m2c: Rotations) -> Floats:
@@ -99,94 +100,121 @@ class MarkingVisibility:
         camera = -self._camera.distance * R_m2c[:, 2]  # in model coordinates: R^T (0, 0, -distance)
         return camera @ normals.T - offsets
 
-    def _count_quickly(self, R_m2c: Rotations, facing: Floats) -> Counts:
-        """Return a lower bound from the few triangles that face the camera most."""
-        few = min(_QUICK_TRIANGLES, facing.shape[1])
-        best = np.argpartition(-facing, few - 1, axis=1)[:, :few]
-        corners = self._project(R_m2c[:, None], self._vertices[self._triangles[best]])
-        return _surely_inside(corners, self._shift)
+    def _facing_slack(self, near: Floats, far: Floats) -> Floats:
+        """Return by how much moved vertices can change each triangle's facing: (n, T)."""
+        lengths = np.sqrt(2.0) * self._longest(near) * self._two_shortest
+        return _area_slack(lengths, self._shift) * far**3 / self._focal**2
 
-    def _count(self, R_m2c: Rotations, perhaps: Flags) -> tuple[Counts, Counts]:
-        """Return close bounds, by going through the rows of the triangles that may be drawn (n, T)."""
-        image, triangle = np.nonzero(perhaps)
-        corners = self._project(R_m2c[image], self._vertices[self._triangles[triangle]])
-        low, high = _count_rows(corners, self._shift)
-        n = len(R_m2c)
-        return np.bincount(image, low, n).astype(np.int64), np.bincount(image, high, n).astype(np.int64)
+    def _longest(self, near: Floats) -> Floats:
+        """Return the most samples that a model length of 1 can span at a depth of at least `near`, anywhere in view."""
+        return self._focal / near * self._camera.distance / np.sqrt(self._camera.distance**2 - 1.0)
 
-    def _project(self, R_m2c: Rotations, corners: Floats) -> Floats:
-        """Return corners (..., 3, 3) on the lattice of samples, a sample's centre at half-integers: (..., 3, 2)."""
-        return self._scale * self._camera.project(corners @ np.swapaxes(R_m2c, -1, -2))
+    def _surely(self, facing: Floats, near: Floats, far: Floats) -> Counts:
+        """Return a lower bound (n,) from the area and the outline of what faces the camera, without projecting it.
 
+        A region with an outline of length P in B edges holds more than A - P - B / 3 samples (Steinhaus, 1947, for each
+        of its loops), of which at most 1.1 P + B are near the outline.
+        """
+        in_front = facing > 0
+        is_outline = self._is_outline(in_front)
+        area = np.where(in_front, facing, 0.0).sum(axis=1) * self._focal**2 / (2.0 * far[:, 0] ** 3)
+        outline = is_outline @ self._edge_lengths * self._longest(near)[:, 0]
+        surely = area - 2.1 * outline - 4.0 / 3.0 * is_outline.sum(axis=1)
+        return np.maximum(np.floor(surely), 0.0).astype(np.int64)
 
-def _signed_area(corners: Floats, vertex_shift: float) -> tuple[Floats, Floats]:
-    """Return twice the area, positive where a triangle faces the camera, and how much moved vertices can change it."""
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    first, second = b - a, c - a
-    area = first[..., 1] * second[..., 0] - first[..., 0] * second[..., 1]  # rows run downwards
-    lengths = np.abs(first[..., 0]) + np.abs(first[..., 1]) + np.abs(second[..., 0]) + np.abs(second[..., 1])
-    return area, 2.0 * vertex_shift * lengths + 8.0 * vertex_shift**2
+    def _is_outline(self, in_front: Flags) -> Flags:
+        """Tell which edges (n, E) have a front triangle (n, T) on one side only."""
+        in_front = np.pad(in_front, [(0, 0), (0, 1)])  # beyond the marking nothing is its front
+        return in_front[:, self._sides[:, 0]] ^ in_front[:, self._sides[:, 1]]
 
+    def _count(self, R_m2c: Rotations, facing: Floats, slack: Floats) -> tuple[Counts, Counts]:
+        """Return close bounds: the samples inside the front's outline, less or plus what moved vertices can change.
 
-def _edges(corners: Floats, vertex_shift: float) -> list[tuple[Floats, Floats, Floats, Floats]]:
-    """Return the three edges as (x, y, offset, shift): x u + y v >= offset inside a triangle that faces the camera.
+        That is near the outline, or near a triangle seen so close to edge-on that it may be drawn the wrong way round.
+        Such a triangle lies behind the front but where that ends, at the silhouette.
+        """
+        n, points = len(R_m2c), self._project(R_m2c)
+        outline = self._outline(points, facing > 0)
+        count, near = count_inside(outline, n), samples_near(outline, self._shift)
+        is_less = is_inside(near, outline)
+        turned = samples_near(*self._slivers(points, np.abs(facing) <= slack))
+        turned = turned[~is_inside(turned, outline)]
+        is_behind = self._is_within_silhouette(R_m2c[turned.owner], turned.centres, 2.0 * self._shift)
+        less, more = near[is_less].owner, (near[~is_less] | turned[~is_behind]).owner
+        return count - np.bincount(less, minlength=n), count + np.bincount(more, minlength=n)
 
-    Moved vertices move an edge's offset by at most the shift.
-    """
-    edges = []
-    for k in range(3):
-        here, there = corners[..., k, :], corners[..., (k + 1) % 3, :]
-        x, y = there[..., 1] - here[..., 1], here[..., 0] - there[..., 0]
-        edges.append((x, y, x * here[..., 0] + y * here[..., 1], vertex_shift * (np.abs(x) + np.abs(y))))
-    return edges
+    def _is_within_silhouette(self, R_m2c: Rotations, centres: Floats, margin: float) -> Flags:
+        """Tell which points (k, 2) of the lattice are inside the body's silhouette by a margin along u and v.
 
-
-def _surely_inside(corners: Floats, vertex_shift: float) -> Counts:
-    """Return a cheap lower bound for the samples in triangles (n, k, 3, 2): (n,).
-
-    A triangle surely holds the sample nearest to its middle where that is deep enough inside. And a convex region of
-    area A and perimeter P holds more than A - P / 2 points of a unit lattice (Nosarzewska, 1948).
-    """
-    area, slack = _signed_area(corners, vertex_shift)
-    u, v = np.moveaxis(np.floor(corners.mean(axis=-2)) + 0.5, -1, 0)
-    is_inside, perimeter = area > slack, np.zeros(area.shape)
-    for x, y, offset, shift in _edges(corners, vertex_shift):
-        is_inside &= x * u + y * v - offset > shift
-        perimeter += np.hypot(x, y)
-    at_least = np.floor(area / 2.0 - (np.sqrt(2.0) * vertex_shift + 0.5) * perimeter) + 1.0
-    return np.where(area > slack, np.maximum(is_inside, at_least), 0.0).sum(axis=-1).astype(np.int64)
-
-
-def _count_rows(corners: Floats, vertex_shift: float) -> tuple[Counts, Counts]:
-    """Return the samples that are surely, and those that are possibly, in each of k triangles (k, 3, 2).
-
-    A triangle that may face away surely holds none, and one that surely does possibly none.
-    """
-    area, slack = _signed_area(corners, vertex_shift)
-    low, high = corners.min(axis=1) - vertex_shift, corners.max(axis=1) + vertex_shift
-    first, last = np.ceil(low - 0.5), np.floor(high - 0.5)  # columns and rows that hold sample centres
-    (spanning,) = np.nonzero((area > -slack) & (last >= first).all(axis=1))
-    rows = (last - first)[spanning, 1].astype(np.int64) + 1
-    triangle = np.repeat(spanning, rows)
-    v = first[triangle, 1] + 0.5 + np.arange(len(triangle)) - np.repeat(np.cumsum(rows) - rows, rows)
-    edges = _edges(corners[triangle], vertex_shift)
-    left, right, count = low[triangle, 0], high[triangle, 0], len(corners)
-    surely = np.where((area > slack)[triangle], _samples_between(edges, v, left, right, inwards=True), 0)
-    possibly = _samples_between(edges, v, left, right, inwards=False)
-    return np.bincount(triangle, surely, count), np.bincount(triangle, possibly, count)
-
-
-def _samples_between(
-    edges: list[tuple[Floats, Floats, Floats, Floats]], v: Floats, left: Floats, right: Floats, *, inwards: bool
-) -> Floats:
-    """Return how many sample centres of a row v (k,), from left to right, are inside all edges moved by their shift."""
-    is_off = np.zeros(v.shape, dtype=bool)
-    for x, y, offset, shift in edges:
-        rest = (offset + shift if inwards else offset - shift) - y * v
+        The silhouette is convex, so a square is in it where the rays through its four corners meet the body.
+        """
+        corners = centres[:, None] + margin * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+        middle = self._scale * np.array([self._camera.width, self._camera.height]) / 2.0
+        rays = np.pad((corners - middle) / self._focal, [(0, 0), (0, 0), (0, 1)], constant_values=1.0) @ R_m2c
+        normals, offsets = self._body_planes
+        gap = offsets + self._camera.distance * R_m2c[:, None, 2] @ normals.T  # (k, 1, planes), camera to plane
+        speed = rays @ normals.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = rest / x
-        left = np.where(x > 0, np.maximum(left, crossing), left)
-        right = np.where(x < 0, np.minimum(right, crossing), right)
-        is_off |= (x == 0) & (rest > 0)
-    count = np.floor(right - 0.5) - np.ceil(left - 0.5) + 1.0
-    return np.where(is_off, 0.0, np.maximum(count, 0.0))
+            steps = gap / speed
+        enter = np.where(speed < 0, steps, -np.inf).max(axis=2)
+        leave = np.where(speed > 0, steps, np.inf).min(axis=2)
+        return np.asarray((enter < leave).all(axis=1))
+
+    def _outline(self, points: Floats, in_front: Flags) -> Segments:
+        """Return the outlines of the front triangles (n, T), running upwards on the right of them."""
+        image, edge = np.nonzero(self._is_outline(in_front))
+        forward = in_front[image, np.minimum(self._sides[edge, 0], in_front.shape[1] - 1)]
+        forward &= self._sides[edge, 0] < in_front.shape[1]
+        start, end = np.where(forward, self._edges[edge].T, self._edges[edge, ::-1].T)
+        return Segments(image, points[image, start], points[image, end])
+
+    def _slivers(self, points: Floats, perhaps: Flags) -> tuple[Segments, Floats]:
+        """Return the longest sides of the triangles that may be drawn the wrong way round, and how far they reach."""
+        image, triangle = np.nonzero(perhaps)
+        corners = points[image[:, None], self._triangles[triangle]]
+        sides = np.roll(corners, -1, axis=1) - corners
+        lengths = np.linalg.norm(sides, axis=-1)
+        area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+        is_sliver = area <= _area_slack(np.sort(np.abs(sides).sum(axis=-1), axis=1)[:, :2].sum(axis=1), self._shift)
+        image, corners, lengths, area = image[is_sliver], corners[is_sliver], lengths[is_sliver], area[is_sliver]
+        rows, longest = np.arange(len(image)), lengths.argmax(axis=1)
+        height = area / np.maximum(lengths[rows, longest], np.finfo(float).tiny)
+        ends = corners[rows, longest], corners[rows, (longest + 1) % 3]
+        return Segments(image, *ends), self._shift + height
+
+    def _project(self, R_m2c: Rotations) -> Floats:
+        """Return all vertices on the lattice of samples, a sample's centre at half-integers: (n, V, 2)."""
+        return self._scale * self._camera.project(self._vertices @ np.swapaxes(R_m2c, -1, -2))
+
+
+def vertex_shift(camera: Camera, settings: RenderSettings) -> float:
+    """Return by how many samples, along u or v, a renderer can move a projected vertex."""
+    return _ROUNDING[settings.engine] + _FLOAT32 * settings.samples_per_axis * max(camera.width, camera.height)
+
+
+def _area_slack(lengths: Floats, shift: float) -> Floats:
+    """Return how much moved vertices change twice a triangle's area, from |f|_1 + |g|_1 of two of its sides."""
+    return 2.0 * shift * lengths + 8.0 * shift**2
+
+
+def _planes(mesh: Mesh) -> tuple[Floats, Floats]:
+    """Return the planes of a mesh's faces, each about once: outward normals (p, 3) and offsets (p,) from the origin."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = (normals * a).sum(axis=1)
+    _, first = np.unique(np.column_stack([normals, offsets]).round(6), axis=0, return_index=True)
+    return normals[first], offsets[first]
+
+
+def _edges_and_sides(triangles: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the edges (E, 2) and the triangles on their two sides (E, 2): the one that has it forward, and the other.
+
+    Where there is none, the number is that of the triangles.
+    """
+    directed = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    edges, number = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
+    sides = np.full((len(edges), 2), len(triangles))
+    is_backward = (directed[:, 0] > directed[:, 1]).astype(int)
+    sides[number.reshape(-1), is_backward] = np.tile(np.arange(len(triangles)), 3)
+    return edges, sides
