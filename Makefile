@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/*))
 INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
-.PHONY: demo test check lint format soak fuzz assets clean
+.PHONY: demo test check lint format soak perf fuzz assets clean
 
 demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of two objects, in data/
 	$(BIN)/symsol-annot render --object cylO --train 0 --test 64
@@ -31,6 +31,9 @@ lint: $(INSTALLED)  ## the quick checks
 
 soak: $(INSTALLED)  ## long proofs on real renders
 	$(BIN)/python tests/soak.py
+
+perf: $(INSTALLED)  ## pairs a second, beside the common recipe
+	$(BIN)/python tests/perf.py
 
 fuzz: $(INSTALLED)  ## 20,000 damaged predictions files
 	$(BIN)/python tests/fuzz_predictions.py
