@@ -1,9 +1,9 @@
 """The common recipe of this field, to be timed beside ours: Cycles, masks in a second render, an HDF5 file a frame.
 
 Follows BlenderProc 2.8 where that is its default: persistent data, its light bounces, all pictures before all masks,
-masks in flat emission with one sample and no filter, frames by way of memory-backed files, gzip. What would slow it down
-is left out: no denoiser (BlenderProc's default is Intel's), no adaptive sampling (it gains nothing at 16 samples), no
-light tree, the quicker sampling pattern, BMP in place of PNG and EXR. Shares no code with the package's renderer.
+masks in flat emission with one sample and no filter, frames by way of memory-backed files, gzip. What would slow it
+down is left out: no denoiser (BlenderProc's default is Intel's), no adaptive sampling (no gain at 16 samples), no light
+tree, the quicker sampling pattern, BMP in place of PNG and EXR. Shares no code with the package's renderer.
 
 python tests/perf_recipe.py OBJECT THREADS FOLDER: a line "FIRST COUNT" on stdin draws those poses of the test split of
 seed 0, and a JSON line on stdout says what it took.
