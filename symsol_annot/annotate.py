@@ -1,10 +1,11 @@
 """Symmetry sets: which of an image's candidate rotations draw that image (section 5.1.2, eqs. 5.1 to 5.4).
 
 One rule, for every object. C is the body's symmetry group, H the marking's stabiliser within it, p(R) the
-marking's visible area in pixels at R, the largest over the coset R H, and T the object's tolerance:
+marking's visible area in pixels at R, and T the object's tolerance. A coset R H shows the marking where p reaches T
+at one of its rotations:
 
-    p(R_gt) >= T, the marking shows:    S = { R_gt g : g in H }
-    p(R_gt) <  T, it is hidden:         S = { R_gt g : g in C, p(R_gt g) < T }
+    R_gt H shows it:    S = { R_gt g : g in H }
+    R_gt H hides it:    S = { R_gt g : g in C, R_gt g H hides it }
 
 A body without marking shows none anywhere, so S = { R_gt g : g in C }.
 """
@@ -26,17 +27,39 @@ class Annotation:
 
     Attributes:
         mask: (G,) bool, which g of the body's group are in the set; S = R_gt @ symmetry_group[mask].
-        candidate_pixels: (G,) f8, p(R_gt g); NaN where the rule did not need it. Where geometry decided, an area on the
-            same side of the tolerance, and 0 where p is 0.
+        candidate_pixels: (G,) f8, the largest p over the coset R_gt g H; NaN where the rule did not need it. Where
+            geometry decided, an area on the same side of the tolerance, and 0 where p is 0.
     """
 
     mask: npt.NDArray[np.bool_]
     candidate_pixels: npt.NDArray[np.float64]
 
 
-def marking_pixels(spec: ObjectSpec, R_gt: Rotations, renderer: Renderer) -> float:
-    """Return p(R_gt) in pixels: the largest visible area of the marking over the coset R_gt H; 0 without a marking."""
-    return float(renderer.marking_pixels(R_gt @ spec.stabiliser).max()) if spec.marking else 0.0
+def marking_pixels(
+    spec: ObjectSpec,
+    R_gt: Rotations,
+    pixels: float,
+    renderer: Renderer,
+    visibility: MarkingVisibility | None = None,
+) -> float:
+    """Return the area in pixels by which an image shows its marking, on the side of T on which its coset is.
+
+    That is the image's own area; but where it is below T and another rotation of the coset R_gt H reaches T, the
+    largest of the coset: a rasteriser can give one of them a sample more.
+
+    Args:
+        spec: the object.
+        R_gt: (3, 3) the image's rotation.
+        pixels: p(R_gt), as the image shows it.
+        renderer: draws other rotations of the coset.
+        visibility: decides most of them without drawing.
+    """
+    others = R_gt @ spec.stabiliser[1:]
+    if spec.marking is None or is_shown(spec, pixels) or not len(others):
+        return pixels
+    if not is_shown(spec, _areas(spec, others, renderer, visibility)).any():
+        return pixels
+    return float(renderer.marking_pixels(others).max())
 
 
 def is_shown(spec: ObjectSpec, pixels: npt.ArrayLike) -> npt.NDArray[np.bool_]:
@@ -57,7 +80,7 @@ def annotate(
     Args:
         spec: the object.
         R_gt: (3, 3) the image's rotation.
-        pixels: p(R_gt), from `marking_pixels`.
+        pixels: by which the image shows its marking, from `marking_pixels`.
         renderer: draws the candidates, where the marking is hidden.
         visibility: decides most of them without drawing; the set is the same without it.
     """
@@ -71,11 +94,20 @@ def annotate(
         mask[cosets[0]] = True
         return Annotation(mask, candidate_pixels)
     others = cosets[1:]
-    candidates = R_gt @ spec.symmetry_group[others]  # (cosets, H, 3, 3)
-    areas = np.full(others.shape, np.nan)
-    if visibility is not None:
-        areas = visibility.areas(candidates.reshape(-1, 3, 3), spec.marking.tolerance_px).reshape(others.shape)
-    undecided = np.isnan(areas).any(axis=1)
-    areas[undecided] = renderer.marking_pixels(candidates[undecided].reshape(-1, 3, 3)).reshape(-1, others.shape[1])
+    candidates = R_gt @ spec.symmetry_group[others.reshape(-1)]
+    areas = _areas(spec, candidates, renderer, visibility).reshape(others.shape)
     candidate_pixels[others] = areas.max(axis=1, keepdims=True)
     return Annotation(~is_shown(spec, candidate_pixels), candidate_pixels)
+
+
+def _areas(
+    spec: ObjectSpec, R_m2c: Rotations, renderer: Renderer, visibility: MarkingVisibility | None
+) -> npt.NDArray[np.float64]:
+    """Return areas (n,) in pixels, from geometry where that decides, and drawn elsewhere."""
+    if visibility is None or spec.marking is None:
+        return renderer.marking_pixels(R_m2c)
+    areas = visibility.areas(R_m2c, spec.marking.tolerance_px)
+    undecided = np.isnan(areas)
+    if undecided.any():
+        areas[undecided] = renderer.marking_pixels(R_m2c[undecided])
+    return areas

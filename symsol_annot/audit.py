@@ -18,7 +18,7 @@ from symsol_annot.scene import MARKING, Renderer, View
 from symsol_annot.so3 import Rotations, angle_between
 
 EDGE_PIXELS = 8  # how many pixels two drawings of one view may differ in: vertices round to other sub-pixels
-RGB_LEVELS = 12  # how far a pixel must be off to count; an edge sample is worth a quarter of the contrast
+RGB_LEVELS = 12  # how far a pixel must be off to count; a sample is worth a sixteenth to a quarter of the contrast
 CANDIDATES_PER_IMAGE = 24
 NEAR_RAD = np.radians(15.0)  # so far a candidate may be that draws a marking of a pixel or two the same
 _SAMPLES_PER_PIXEL = 4  # each sample of a marking below the tolerance can colour a pixel
@@ -72,7 +72,8 @@ def audit(
 def _audit_image(
     sample: Sample, spec: ObjectSpec, renderer: Renderer, rng: np.random.Generator, report: AuditReport
 ) -> None:
-    stored = _Drawing(View(sample.image, sample.segmentation), sample.marking_pixels, sample.marking_visible)
+    view = View(sample.image, sample.segmentation, sample.marking_pixels)
+    stored = _Drawing(view, sample.marking_pixels, sample.marking_visible)
     found = _faults_of_member(stored, _draw(sample.rotation, spec, renderer))
     report.faults += [f"image {sample.index}, drawn again at its own rotation: {what}" for what in found]
     for index in _chosen(sample, rng):
@@ -100,7 +101,7 @@ class _Drawing:
 
     @property
     def trace(self) -> npt.NDArray[np.bool_]:
-        """Where the RGB carries the marking's colour: more red than blue, which body and background never have."""
+        """Where the RGB is more red than blue, as body and background never are: a sixth of a pixel or more marked."""
         return np.asarray(self.view.rgb[..., 0] > self.view.rgb[..., 2])
 
     def draws_the_marking_of(self, other: "_Drawing") -> bool:
@@ -112,8 +113,9 @@ class _Drawing:
 
 
 def _draw(R_m2c: Rotations, spec: ObjectSpec, renderer: Renderer) -> _Drawing:
-    pixels = marking_pixels(spec, R_m2c, renderer)
-    return _Drawing(renderer.render(R_m2c), pixels, bool(is_shown(spec, pixels)))
+    view = renderer.render(R_m2c)
+    pixels = marking_pixels(spec, R_m2c, view.marking_pixels, renderer)
+    return _Drawing(view, pixels, bool(is_shown(spec, pixels)))
 
 
 def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:

@@ -13,39 +13,39 @@ from typing import Any, Self
 import bpy
 import numpy as np
 import numpy.typing as npt
+from PIL.SgiImagePlugin import SgiImageFile
 
 from symsol_annot.errors import RenderError
-from symsol_annot.mesh import MATERIALS, Mesh
-from symsol_annot.scene import BODY, MARKING, Camera, RenderSettings, View, box_filter
+from symsol_annot.frames import CornerLight, SampleIds, view_of
+from symsol_annot.mesh import Mesh
+from symsol_annot.scene import MARKING, Camera, RenderSettings, View
 from symsol_annot.so3 import Rotations, rotation_to_quat_wxyz
 
 _ENGINE_IDS = {"workbench": "BLENDER_WORKBENCH", "cycles": "CYCLES", "eevee": "BLENDER_EEVEE_NEXT"}
+_COLOURS = "colours"  # the mesh's attribute
 _SENSOR_WIDTH = 36.0
 _CLIP_MARGIN = 1.5  # bounding-sphere radii in front of and behind the object's centre
-_ID_COLOURS = {BODY: (0.0, 1.0, 0.0), MARKING: (1.0, 0.0, 0.0)}
-_WINDOW_STEP = 16  # sides of windows are multiples of this: few sizes, few reallocations
-_WINDOW_MARGIN = 2  # pixels around what a window holds, so that its corner shows the background
+_WINDOW_STEP = 8  # sides of windows are multiples of this many pixels: few sizes, few reallocations
 
 
 class BlenderRenderer:
     """Draws one mesh through one camera in this process, which it takes over: one at a time."""
 
     def __init__(self, mesh: Mesh, camera: Camera, settings: RenderSettings) -> None:
-        self._camera = camera
-        self._settings = settings
+        self._camera, self._settings, self._n = camera, settings, settings.samples_per_axis
         self._vertices, self._marking_vertices = mesh.vertices, mesh.marking_vertices
-        n = settings.samples_per_axis
-        self._lattice = _Window(0, 0, camera.width * n, camera.height * n)
+        self._lattice = camera.lattice(self._n)
+        self._ids = SampleIds(settings)
+        self._blank = np.full((self._lattice.height, self._lattice.width, 3), self._ids.background)
         self._frame = _FrameFile()
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self._scene = bpy.context.scene
-        self._materials = [bpy.data.materials.new(name) for name in MATERIALS]
-        self._object = _add_object(self._scene, mesh, self._materials)
+        self._light = CornerLight(mesh, settings)
+        self._object = _add_object(self._scene, mesh)
         self._camera_data = _add_camera(self._scene, camera)
         _set_up_output(self._scene, self._frame.path)
-        self._shading: _Shading = (_WorkbenchShading if settings.engine == "workbench" else _NodeShading)(
-            self._scene, self._materials, settings
-        )
+        set_up_engine = _set_up_workbench if settings.engine == "workbench" else _set_up_nodes
+        set_up_engine(self._scene, self._object.data, settings)
         self.render(np.eye(3))  # opens the graphics device: it fails here or not at all
 
     @property
@@ -59,65 +59,54 @@ class BlenderRenderer:
         return found
 
     def render(self, R_m2c: Rotations) -> View:
-        """Draw the RGB on the anti-aliasing lattice and average it; take the segmentation at pixel centres.
+        """Draw the samples of the window that the object spans, and make a view of them.
 
-        Where the marking is counted in a window of its own, that window is drawn into the RGB: a vertex can
-        round to another sub-pixel there, and then a sample would differ between the two.
+        Where the marking is counted in a window of its own, that window is drawn into it: a vertex can round to
+        another sub-pixel there, and then a sample would differ between picture and count.
         """
-        n = self._settings.samples_per_axis
         self._turn(R_m2c)
-        self._shading.show_looks()
-        samples = self._draw_object(R_m2c, scale=n)
-        window = self._marking_window(R_m2c)
-        if window is not None and window != self._lattice:
-            samples[window.rows, window.columns] = self._draw(window, scale=n)
-        self._shading.show_ids()
-        segmentation = _decode_ids(self._draw_object(R_m2c, scale=1))
-        if not np.any(segmentation):
+        whole, counted = self._windows(R_m2c)
+        samples = self._blank.copy()
+        for window in {whole: None, counted: None}:
+            samples[window.samples(self._n)] = self._draw(window)
+        drawn = samples[whole.samples(self._n)]
+        ids = self._ids.of(drawn)
+        if not ids.any():
             raise RenderError("a frame came back empty: the object is not in it")
-        return View(box_filter(samples, n), segmentation)
+        view = view_of(drawn, ids, self._n)
+        rgb = self._blank[: self._camera.height, : self._camera.width].copy()
+        segmentation = np.zeros(rgb.shape[:2], np.uint8)
+        rgb[whole.pixels], segmentation[whole.pixels] = view.rgb, view.segmentation
+        return View(rgb, segmentation, view.marking_pixels)
 
     def marking_pixels(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
-        """Count the marking's samples, each rotation in the window of the lattice that its vertices span."""
-        self._shading.show_ids()
+        """Count the marking's samples, each rotation in the window that its vertices span."""
         counts = [self._marking_samples(R) for R in R_m2c]
         return np.array(counts, dtype=np.float64) / self._settings.samples_per_pixel
 
     def _marking_samples(self, R_m2c: Rotations) -> int:
-        window = self._marking_window(R_m2c)
-        if window is None:
+        if not len(self._marking_vertices):
             return 0
         self._turn(R_m2c)
-        ids = _decode_ids(self._draw(window, scale=self._settings.samples_per_axis))
-        return int(np.count_nonzero(ids == MARKING))
+        _, counted = self._windows(R_m2c)
+        return int(np.count_nonzero(self._ids.of(self._draw(counted)) == MARKING))
 
-    def _marking_window(self, R_m2c: Rotations) -> "_Window | None":
-        """Return the square of the lattice that holds the marking, seen or not; the whole lattice if it is large."""
+    def _windows(self, R_m2c: Rotations) -> tuple["_Window", "_Window"]:
+        """Return the window of the whole object, and that of its marking, seen or not, unless it is hardly smaller."""
+        whole = self._window_of(self._vertices @ R_m2c.T)
         if not len(self._marking_vertices):
-            return None
-        corners = self._settings.samples_per_axis * self._camera.project(self._marking_vertices @ R_m2c.T)
-        low = np.floor(corners.min(axis=0)).astype(int) - _WINDOW_MARGIN
-        high = np.ceil(corners.max(axis=0)).astype(int) + _WINDOW_MARGIN
-        side = int(-(-(high - low).max() // _WINDOW_STEP)) * _WINDOW_STEP
-        if 2 * side > min(self._lattice.width, self._lattice.height):
-            return self._lattice
-        left, top = np.clip(low, 0, [self._lattice.width - side, self._lattice.height - side]).tolist()
-        return _Window(left, top, side, side)
+            return whole, whole
+        marking = self._window_of(self._marking_vertices @ R_m2c.T)
+        return whole, marking if 2 * marking.area <= whole.area else whole
 
-    def _draw_object(self, R_m2c: Rotations, scale: int) -> npt.NDArray[np.uint8]:
-        """Draw the window that the object spans, and fill the rest of the enlarged image with its corner's colour."""
-        shape = (self._camera.height * scale, self._camera.width * scale)
-        corners = scale * self._camera.project(self._vertices @ R_m2c.T)
-        low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - _WINDOW_MARGIN, 0)
-        high = np.ceil(corners.max(axis=0)).astype(int) + _WINDOW_MARGIN
-        sides = np.minimum(-(-(high - low) // _WINDOW_STEP) * _WINDOW_STEP, shape[::-1])
-        left, top = np.minimum(low, shape[::-1] - sides).tolist()
-        window = _Window(left, top, *sides.tolist())
-        drawn = self._draw(window, scale)
-        frame = np.empty((*shape, 3), np.uint8)
-        frame[...] = drawn[0, 0]
-        frame[window.rows, window.columns] = drawn
-        return frame
+    def _window_of(self, points: npt.NDArray[np.float64]) -> "_Window":
+        """Return the window (in steps of whole pixels) that holds world points (k, 3), with a pixel around them."""
+        corners = self._camera.project(points)
+        low, high = np.floor(corners.min(axis=0)) - 1, np.ceil(corners.max(axis=0)) + 1
+        size = np.array([self._camera.width, self._camera.height])
+        sides = np.minimum(np.ceil((high - low) / _WINDOW_STEP) * _WINDOW_STEP, size)
+        left, top = np.clip(low, 0, size - sides).astype(int).tolist()
+        return _Window(left, top, *sides.astype(int).tolist())
 
     def close(self) -> None:
         """Let go of the frame's file."""
@@ -132,21 +121,25 @@ class BlenderRenderer:
         self.close()
 
     def _turn(self, R_m2c: Rotations) -> None:
+        """Turn the object, and give its corners the colours that they have in the camera's light."""
         self._object.rotation_quaternion = rotation_to_quat_wxyz(R_m2c)
+        self._object.data.color_attributes[_COLOURS].data.foreach_set("color", self._light.colours(R_m2c).reshape(-1))
+        self._object.data.update_tag()
 
-    def _draw(self, window: "_Window", scale: int) -> npt.NDArray[np.uint8]:
-        """Draw a window of the image enlarged `scale` times: (height, width, 3) u8, a sample at each centre.
+    def _draw(self, window: "_Window") -> npt.NDArray[np.uint8]:
+        """Draw a window's samples: (n height + 1, n width + 1, 3) u8.
 
         Blender's own border rendering draws the whole frame first; a shifted lens draws the window alone.
         """
-        longest = max(window.width, window.height)
-        full_width, full_height = self._camera.width * scale, self._camera.height * scale
-        self._camera_data.lens = self._camera.focal_px * scale * _SENSOR_WIDTH / longest
-        self._camera_data.shift_x = (window.left + window.width / 2 - full_width / 2) / longest
-        self._camera_data.shift_y = -(window.top + window.height / 2 - full_height / 2) / longest
-        self._scene.render.resolution_x, self._scene.render.resolution_y = window.width, window.height
+        rows, columns = window.samples(self._n)
+        width, height = columns.stop - columns.start, rows.stop - rows.start
+        longest = max(width, height)
+        self._camera_data.lens = self._lattice.focal_px * _SENSOR_WIDTH / longest
+        self._camera_data.shift_x = (columns.start + width / 2 - self._lattice.width / 2) / longest
+        self._camera_data.shift_y = -(rows.start + height / 2 - self._lattice.height / 2) / longest
+        self._scene.render.resolution_x, self._scene.render.resolution_y = width, height
         bpy.ops.render.render(write_still=True)
-        return self._frame.read(window.width, window.height)
+        return self._frame.read(width, height)
 
 
 @dataclass(frozen=True)
@@ -159,12 +152,18 @@ class _Window:
     height: int
 
     @property
-    def rows(self) -> slice:
-        return slice(self.top, self.top + self.height)
+    def area(self) -> int:
+        return self.width * self.height
 
     @property
-    def columns(self) -> slice:
-        return slice(self.left, self.left + self.width)
+    def pixels(self) -> tuple[slice, slice]:
+        """Its rows and columns in the image."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+
+    def samples(self, n: int) -> tuple[slice, slice]:
+        """Its rows and columns in the lattice of n samples per axis of a pixel, edges included."""
+        rows, columns = self.pixels
+        return slice(n * rows.start, n * rows.stop + 1), slice(n * columns.start, n * columns.stop + 1)
 
 
 class _FrameFile:
@@ -177,20 +176,17 @@ class _FrameFile:
         else:  # macOS, Windows
             import tempfile
 
-            self._descriptor, self.path = tempfile.mkstemp(prefix="symsol-annot-", suffix=".bmp")
+            self._descriptor, self.path = tempfile.mkstemp(prefix="symsol-annot-", suffix=".sgi")
 
     def read(self, width: int, height: int) -> npt.NDArray[np.uint8]:
-        """Return the frame just written as (height, width, 3) u8: a BMP's rows run upwards, in BGR, padded to 4."""
-        data = Path(self.path).read_bytes()
-        offset = int.from_bytes(data[10:14], "little")
-        found = tuple(int.from_bytes(data[start : start + 4], "little") for start in (18, 22))
-        stride = (3 * width + 3) // 4 * 4
-        if data[:2] != b"BM" or found != (width, height) or len(data) < offset + stride * height:
-            raise RenderError(f"Blender wrote no {width}x{height} frame, but {len(data)} bytes of {found}")
-        rows = np.frombuffer(data, np.uint8, stride * height, offset).reshape(height, stride)[::-1]
-        frame = np.empty((height, width, 3), np.uint8)
-        for channel in range(3):  # one by one: numpy copies long strides fast and short ones slowly
-            frame[..., channel] = rows[:, 2 - channel : 3 * width : 3]
+        """Return the frame just written as (height, width, 3) u8."""
+        try:
+            with Path(self.path).open("rb") as file, SgiImageFile(file) as image:
+                frame = np.asarray(image)
+        except (OSError, SyntaxError) as error:  # Pillow's word for another format
+            raise RenderError(f"Blender wrote no frame that can be read: {error}") from None
+        if frame.shape != (height, width, 3):
+            raise RenderError(f"Blender wrote a frame of shape {frame.shape}, expected {(height, width, 3)}")
         return frame
 
     def close(self) -> None:
@@ -199,23 +195,10 @@ class _FrameFile:
             Path(self.path).unlink()
 
 
-def _decode_ids(frame: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Return the ids of a frame drawn in _ID_COLOURS on black; any other colour is an error."""
-    ids = BODY * (frame[..., 1] == 255).astype(np.uint8) + MARKING * (frame[..., 0] == 255).astype(np.uint8)
-    if np.any((frame != 0) & (frame != 255)) or np.any(frame[..., 2]) or ids.max() > MARKING:
-        stray = np.unique(frame.reshape(-1, 3), axis=0)
-        raise RenderError(f"a segmentation holds colours that are no ids: {stray[:8].tolist()}")
-    return ids
-
-
-def _add_object(scene: Any, mesh: Mesh, materials: list[Any]) -> Any:
+def _add_object(scene: Any, mesh: Mesh) -> Any:
     data = bpy.data.meshes.new("object")
     data.from_pydata(mesh.vertices.tolist(), [], mesh.triangles.tolist())
-    for material in materials:
-        data.materials.append(material)
-    data.polygons.foreach_set("material_index", mesh.is_marking.astype(np.int32))
-    normals = data.attributes.new("custom_normal", "FLOAT_VECTOR", "CORNER")  # kept as they are, in float32
-    normals.data.foreach_set("vector", mesh.corner_normals.astype(np.float32).reshape(-1))
+    data.color_attributes.active_color = data.color_attributes.new(_COLOURS, "FLOAT_COLOR", "CORNER")
     data.update()
     made = bpy.data.objects.new("object", data)
     made.rotation_mode = "QUATERNION"
@@ -240,141 +223,61 @@ def _add_camera(scene: Any, camera: Camera) -> Any:
 def _set_up_output(scene: Any, path: str) -> None:
     scene.render.filepath = path
     scene.render.use_file_extension = False
-    scene.render.image_settings.file_format = "BMP"
+    scene.render.image_settings.file_format = "IRIS"  # written faster than any other that loses nothing
     scene.render.image_settings.color_mode = "RGB"
     scene.render.resolution_percentage = 100
     scene.render.dither_intensity = 0.0
+    scene.view_settings.view_transform = "Standard"
     scene.render.use_compositing = scene.render.use_sequencer = False
-    scene.render.use_high_quality_normals = True
     scene.render.use_persistent_data = True
     scene.world = bpy.data.worlds.new("world")
 
 
-class _Shading:
-    """Switches a scene between its looks and flat id colours; switching to what is on costs nothing."""
-
-    def __init__(self, scene: Any, materials: list[Any], settings: RenderSettings) -> None:
-        self._scene, self._materials, self._settings = scene, materials, settings
-        self._shown = ""
-
-    def show_looks(self) -> None:
-        """Draw what the RGB shows."""
-        if self._shown != "looks":
-            self._shown = "looks"
-            self._scene.view_settings.view_transform = "Standard"
-            self._apply(
-                [self._settings.body_colour, self._settings.marking_colour], self._settings.background_colour, lit=True
-            )
-
-    def show_ids(self) -> None:
-        """Draw what the segmentation shows."""
-        if self._shown != "ids":
-            self._shown = "ids"
-            self._scene.view_settings.view_transform = "Raw"
-            self._apply([_ID_COLOURS[BODY], _ID_COLOURS[MARKING]], (0.0, 0.0, 0.0), lit=False)
-
-    def _apply(
-        self, colours: list[tuple[float, float, float]], background: tuple[float, float, float], *, lit: bool
-    ) -> None:
-        raise NotImplementedError
+def _set_up_workbench(scene: Any, _data: Any, settings: RenderSettings) -> None:
+    """Blender's OpenGL engine: the corners' colours as they are, back faces culled, no anti-aliasing."""
+    scene.render.engine = _ENGINE_IDS["workbench"]
+    scene.display.render_aa = "OFF"
+    shading = scene.display.shading
+    shading.color_type, shading.light = "VERTEX", "FLAT"
+    shading.show_backface_culling = True
+    shading.show_cavity = shading.show_object_outline = shading.show_shadows = shading.show_xray = False
+    scene.world.color = settings.background_colour
 
 
-class _WorkbenchShading(_Shading):
-    """Blender's OpenGL engine: one studio light along the camera's axis, back faces culled, no anti-aliasing."""
-
-    def __init__(self, scene: Any, materials: list[Any], settings: RenderSettings) -> None:
-        super().__init__(scene, materials, settings)
-        scene.render.engine = _ENGINE_IDS["workbench"]
-        scene.display.render_aa = "OFF"
-        shading = scene.display.shading
-        shading.color_type = "MATERIAL"
-        shading.show_backface_culling = True
-        shading.show_specular_highlight = False
-        shading.show_cavity = shading.show_object_outline = shading.show_shadows = shading.show_xray = False
-        system = bpy.context.preferences.system
-        system.use_studio_light_edit = True
-        system.light_ambient = (settings.ambient,) * 3
-        for light in system.solid_lights:
-            light.use = False
-        head = system.solid_lights[0]
-        head.use, head.smooth, head.direction = True, 0.0, (0.0, 0.0, 1.0)
-        head.diffuse_color, head.specular_color = (settings.diffuse,) * 3, (0.0, 0.0, 0.0)
-
-    def _apply(
-        self, colours: list[tuple[float, float, float]], background: tuple[float, float, float], *, lit: bool
-    ) -> None:
-        self._scene.display.shading.light = "STUDIO" if lit else "FLAT"
-        self._scene.world.color = background
-        for material, colour in zip(self._materials, colours, strict=True):
-            material.diffuse_color = (*colour, 1.0)
+def _set_up_nodes(scene: Any, data: Any, settings: RenderSettings) -> None:
+    """Cycles and EEVEE: surfaces that emit the corners' colours, one sample at each centre."""
+    scene.render.engine = _ENGINE_IDS[settings.engine]
+    scene.render.filter_size = 0.0
+    if settings.engine == "cycles":
+        scene.cycles.device = "CPU"
+        scene.cycles.samples, scene.cycles.use_adaptive_sampling = 1, False
+        scene.cycles.use_denoising = False
+        scene.cycles.max_bounces = scene.cycles.transparent_max_bounces = 8
+        scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 0.01
+        scene.cycles.seed = 0
+        scene.render.threads_mode, scene.render.threads = "FIXED", 1
+    else:
+        scene.eevee.taa_render_samples = 1
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (*settings.background_colour, 1.0)
+    data.materials.append(_emitter())
 
 
-class _NodeShading(_Shading):
-    """Cycles and EEVEE: surfaces that emit what Workbench's light would show, one sample at each centre.
-
-    The object turns and the camera stays, so the cosine to the light is -z of the world normal.
-    """
-
-    def __init__(self, scene: Any, materials: list[Any], settings: RenderSettings) -> None:
-        super().__init__(scene, materials, settings)
-        scene.render.engine = _ENGINE_IDS[settings.engine]
-        scene.render.filter_size = 0.0
-        if settings.engine == "cycles":
-            scene.cycles.device = "CPU"
-            scene.cycles.samples, scene.cycles.use_adaptive_sampling = 1, False
-            scene.cycles.use_denoising = False
-            scene.cycles.max_bounces = scene.cycles.transparent_max_bounces = 8
-            scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 0.01
-            scene.cycles.seed = 0
-            scene.render.threads_mode, scene.render.threads = "FIXED", 1
-        else:
-            scene.eevee.taa_render_samples = 1
-        scene.world.use_nodes = True
-        self._background = scene.world.node_tree.nodes["Background"].inputs["Color"]
-        self._surfaces = [_emitter(material) for material in materials]
-
-    def _apply(
-        self, colours: list[tuple[float, float, float]], background: tuple[float, float, float], *, lit: bool
-    ) -> None:
-        self._background.default_value = (*background, 1.0)
-        ambient, diffuse = (self._settings.ambient, self._settings.diffuse) if lit else (1.0, 0.0)
-        for surface, colour in zip(self._surfaces, colours, strict=True):
-            surface["colour"].default_value = (*colour, 1.0)
-            surface["ambient"].default_value, surface["diffuse"].default_value = ambient, diffuse
-
-
-def _emitter(material: Any) -> dict[str, Any]:
-    """Give a material nodes that emit colour x (ambient + diffuse x max(0, -n_z)), and let back faces through."""
+def _emitter() -> Any:
+    """Return a material that emits the corners' colours and lets back faces through."""
+    material = bpy.data.materials.new("emitter")
     material.use_nodes = True
     material.use_backface_culling = True
     if hasattr(material, "cycles"):
         material.cycles.emission_sampling = "NONE"
     tree = material.node_tree
     tree.nodes.clear()
-
-    def math(operation: str, *links: Any) -> Any:
-        node = tree.nodes.new("ShaderNodeMath")
-        node.operation = operation
-        for socket, link in zip(node.inputs, links, strict=False):
-            if link is not None:
-                tree.links.new(link, socket)
-        return node
-
-    geometry = tree.nodes.new("ShaderNodeNewGeometry")
-    split = tree.nodes.new("ShaderNodeSeparateXYZ")
-    tree.links.new(geometry.outputs["Normal"], split.inputs[0])
-    cosine = math("MULTIPLY", split.outputs["Z"])
-    cosine.inputs[1].default_value = -1.0
-    lit = math("MAXIMUM", cosine.outputs[0])
-    lit.inputs[1].default_value = 0.0
-    shade = math("MULTIPLY_ADD", lit.outputs[0])  # lit x diffuse + ambient
-    emission = tree.nodes.new("ShaderNodeEmission")
-    tree.links.new(shade.outputs[0], emission.inputs["Strength"])
-    transparent = tree.nodes.new("ShaderNodeBsdfTransparent")
-    mix = tree.nodes.new("ShaderNodeMixShader")
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    kinds = ("VertexColor", "Emission", "BsdfTransparent", "NewGeometry", "MixShader", "OutputMaterial")
+    colours, emission, transparent, geometry, mix, output = (tree.nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    colours.layer_name = _COLOURS
+    tree.links.new(colours.outputs["Color"], emission.inputs["Color"])
     tree.links.new(geometry.outputs["Backfacing"], mix.inputs[0])
     tree.links.new(emission.outputs[0], mix.inputs[1])
     tree.links.new(transparent.outputs[0], mix.inputs[2])
     tree.links.new(mix.outputs[0], output.inputs["Surface"])
-    return {"colour": emission.inputs["Color"], "diffuse": shade.inputs[1], "ambient": shade.inputs[2]}
+    return material

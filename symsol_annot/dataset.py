@@ -5,10 +5,11 @@ sample = test[0]
 sample.image, sample.symmetry_set
 """
 
+import contextlib
 import os
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -17,9 +18,10 @@ from typing import Any, Self, overload
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.chunks import HDF5_ERRORS, ByteFile, Rows, identity_of, whole
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.manifest import SPLITS, Manifest, read_manifest
-from symsol_annot.shards import HDF5_ERRORS, header_mismatches, open_shard_file
+from symsol_annot.shards import header_mismatches, open_shard
 from symsol_annot.so3 import Rotations, turned
 
 _MAX_OPEN_SHARDS = 8
@@ -93,8 +95,9 @@ class Labels:
 class Dataset(Sequence[Sample]):
     """A split of a set as a sequence of samples, read when asked for.
 
-    Files are opened at first use, separately in each process, so that a dataset can be pickled and handed to
-    worker processes, forked or spawned. A slice is a dataset over the same files.
+    A shard is checked and its labels are read at its first use; after that an image costs one read and one inflating.
+    A dataset may be used by several threads at once, pickled, and handed to worker processes, forked or spawned. A
+    slice is a dataset over the same files.
     """
 
     def __init__(self, folder: Path, split: str, manifest: Manifest, rows: range | None = None) -> None:
@@ -102,8 +105,8 @@ class Dataset(Sequence[Sample]):
         self._entries = manifest.of_split(split)
         self._starts = [entry.first_index for entry in self._entries]
         self._rows = range(manifest.images(split)) if rows is None else rows
-        self._open: OrderedDict[int, _OpenShard] = OrderedDict()
-        self._owner = os.getpid()
+        self._shards: dict[int, _Shard] = {}
+        self._open: OrderedDict[int, ByteFile] = OrderedDict()  # of those, the files used last
 
     @property
     def object(self) -> str:
@@ -128,7 +131,7 @@ class Dataset(Sequence[Sample]):
     @property
     def symmetry_group(self) -> Rotations:
         """The (G, 3, 3) symmetries of the object's body, identity first."""
-        return self._shard(0).symmetry_group
+        return self._opened(0)[0].symmetry_group
 
     def labels(self) -> Labels:
         """Read the labels of all images at once, without the images.
@@ -164,7 +167,8 @@ class Dataset(Sequence[Sample]):
         except IndexError:
             raise IndexError(f"index {item} is out of range: {self!r} has {len(self)} images") from None
         number = bisect_right(self._starts, index) - 1
-        return self._shard(number).sample(index)
+        shard, file = self._opened(number)
+        return shard.sample(index, file)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[i] for i in range(len(self)))
@@ -173,18 +177,18 @@ class Dataset(Sequence[Sample]):
         return f"<{self.object} {self.split}: {len(self)} images in {self.folder}>"
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": OrderedDict()}
+        return {**self.__dict__, "_shards": {}, "_open": OrderedDict()}
 
     def _labels_of(self, number: int) -> tuple[npt.NDArray[Any], ...]:
-        shard = self._shard(number)
+        shard, _ = self._opened(number)
         if not np.array_equal(shard.symmetry_group, self.symmetry_group):
             raise DataError(f"{self.folder / self._entries[number].file}: its symmetry_group is not the first shard's")
-        return self._shard(number).labels()
+        return shard.labels()
 
     def close(self) -> None:
         """Close the files; the next access opens them again."""
-        while self._open:
-            self._open.popitem()[1].close()
+        self._open.clear()
+        self._shards.clear()
 
     def __enter__(self) -> Self:
         return self
@@ -194,68 +198,82 @@ class Dataset(Sequence[Sample]):
     ) -> None:
         self.close()
 
-    def _shard(self, number: int) -> "_OpenShard":
-        if self._owner != os.getpid():  # an HDF5 handle must not cross a fork: drop it without closing
-            self._open, self._owner = OrderedDict(), os.getpid()
-        if number not in self._open:
-            while len(self._open) >= _MAX_OPEN_SHARDS:
-                self._open.popitem(last=False)[1].close()
+    def _opened(self, number: int) -> "tuple[_Shard, ByteFile]":
+        """Return a shard and its open file; whatever other threads do meanwhile, both are good to read from."""
+        shard = self._shards.get(number)
+        if shard is None:
             entry = self._entries[number]
             expected = self.manifest.expected_attributes(entry)
-            self._open[number] = _OpenShard(self.folder / entry.file, entry.images, expected)
-        self._open.move_to_end(number)
-        return self._open[number]
+            shard = self._shards[number] = _Shard(self.folder / entry.file, entry.images, expected)
+        file = self._open.pop(number, None)
+        if file is None:
+            while len(self._open) >= _MAX_OPEN_SHARDS:
+                with contextlib.suppress(KeyError):  # another thread was faster
+                    self._open.popitem(last=False)
+            file = shard.open()
+        self._open[number] = file
+        return shard, file
 
 
-class _OpenShard:
-    """One open file and the small arrays of it that every sample needs."""
+class _Shard:
+    """What is known of a shard that was checked: its labels, and where its images lie."""
 
     def __init__(self, path: Path, images: int, expected: dict[str, Any]) -> None:
-        self._file = open_shard_file(path)
-        faults = header_mismatches(self._file, expected)
-        if len(self._file["rotation"]) != images:
-            faults.append(f"expected {images} images, found {len(self._file['rotation'])}")
-        if faults:
-            self._file.close()
-            raise DataError(f"{path}: is no shard of this set:\n" + "\n".join(f"  - {fault}" for fault in faults))
-        self._first_index = int(self._file.attrs["first_index"])
-        self._tolerance_px = float(self._file.attrs["tolerance_px"])
-        try:
-            self.symmetry_group: Rotations = self._file["symmetry_group"][...]
-        except HDF5_ERRORS as error:
-            raise DataError(f"{path}: symmetry_group cannot be read: {error}") from None
+        self._path = path
+        with open_shard(path) as file:
+            _check_header(file, path, images, expected)
+            self._identity = identity_of(file)
+            self._first_index = int(file.attrs["first_index"])
+            self._tolerance_px = float(file.attrs["tolerance_px"])
+            self._image, self._segmentation = (self._read(file, name, Rows) for name in ("image", "segmentation"))
+            self._rotation, self._pixels = (self._read(file, name) for name in ("rotation", "marking_pixels"))
+            self._mask = self._read(file, "symmetry_mask") if "symmetry_mask" in file else None
+            self.symmetry_group: Rotations = self._read(file, "symmetry_group")
         self.symmetry_group.setflags(write=False)  # all samples share it
 
-    def sample(self, index: int) -> Sample:
-        row = index - self._first_index
+    def open(self) -> ByteFile:
+        """Open the file, which has to be the one that was checked."""
         try:
-            pixels = float(self._file["marking_pixels"][row])
-            mask = self._file["symmetry_mask"][row] if "symmetry_mask" in self._file else None
-            return Sample(
-                index=index,
-                image=self._file["image"][row],
-                segmentation=self._file["segmentation"][row],
-                rotation=self._file["rotation"][row],
-                marking_pixels=pixels,
-                marking_visible=pixels >= self._tolerance_px,  # False where the tolerance is NaN: no marking
-                symmetry_mask=mask,
-                symmetry_group=self.symmetry_group,
-            )
-        except HDF5_ERRORS as error:
-            raise DataError(
-                f"{self._file.filename}: row {row} cannot be read: {error}. `symsol-annot verify` checks the whole set"
-            ) from None
+            file = ByteFile(self._path)
+        except OSError as error:
+            raise DataError(f"{self._path}: cannot be opened again: {error.strerror}") from None
+        if file.identity != self._identity:
+            raise DataError(f"{self._path}: was replaced after it was opened; load the set again")
+        return file
+
+    def sample(self, index: int, file: ByteFile) -> Sample:
+        row = index - self._first_index
+        pixels = float(self._pixels[row])
+        return Sample(
+            index=index,
+            image=self._image.read(row, file),
+            segmentation=self._segmentation.read(row, file),
+            rotation=self._rotation[row].copy(),
+            marking_pixels=pixels,
+            marking_visible=pixels >= self._tolerance_px,  # False where the tolerance is NaN: no marking
+            symmetry_mask=None if self._mask is None else self._mask[row].copy(),
+            symmetry_group=self.symmetry_group,
+        )
 
     def labels(self) -> tuple[npt.NDArray[Any], ...]:
         """Return rotation, symmetry_mask, marking_pixels and whether the marking shows, of all rows."""
-        try:
-            rotation, mask, pixels = (self._file[name][...] for name in ("rotation", "symmetry_mask", "marking_pixels"))
-        except HDF5_ERRORS as error:
-            raise DataError(f"{self._file.filename}: labels cannot be read: {error}") from None
-        return rotation, mask, pixels, pixels >= self._tolerance_px
+        if self._mask is None:
+            raise DataError(f"{self._path}: labels cannot be read: it has no symmetry_mask")
+        return self._rotation, self._mask, self._pixels, self._pixels >= self._tolerance_px
 
-    def close(self) -> None:
-        self._file.close()
+    def _read(self, file: Any, name: str, how: Callable[[Any], Any] = whole) -> Any:
+        try:
+            return how(file[name])
+        except HDF5_ERRORS as error:
+            raise DataError(f"{self._path}: {name} cannot be read: {error}") from None
+
+
+def _check_header(file: Any, path: Path, images: int, expected: dict[str, Any]) -> None:
+    faults = header_mismatches(file, expected)
+    if len(file["rotation"]) != images:
+        faults.append(f"expected {images} images, found {len(file['rotation'])}")
+    if faults:
+        raise DataError(f"{path}: is no shard of this set:\n" + "\n".join(f"  - {fault}" for fault in faults))
 
 
 def load(folder: str | os.PathLike[str], split: str = "test") -> Dataset:
@@ -264,6 +282,8 @@ def load(folder: str | os.PathLike[str], split: str = "test") -> Dataset:
     Args:
         folder: the set's folder, which holds its manifest.json.
         split: "train" or "test".
+
+    Each image that is read is checked against gzip's adler32, but no SHA-256 is compared: `symsol-annot verify` does.
 
     Raises:
         DataError: the folder holds no set, the split is not in it, or shards of it are missing.

@@ -304,14 +304,15 @@ def make_shard(
     try:
         for index in range(entry.first_index, entry.first_index + entry.images):
             R_gt = label_rotation(plan.seed, spec.name, entry.split, index)
-            pixels = marking_pixels(spec, R_gt, renderer)
+            view = renderer.render(R_gt)
+            pixels = marking_pixels(spec, R_gt, view.marking_pixels, renderer, visibility)
             mask = None
             if annotated:
                 annotation = annotate(spec, R_gt, pixels, renderer, visibility)
                 mask, drawn = annotation.mask, annotation.candidate_pixels
                 candidates += int(np.count_nonzero(np.isfinite(drawn)))
                 within_tolerance += int(np.count_nonzero((drawn > 0) & ~is_shown(spec, drawn)))
-            writer.add(ImageRecord(renderer.render(R_gt), R_gt, pixels, mask))
+            writer.add(ImageRecord(view, R_gt, pixels, mask))
             on_image()
         return writer.finish({"candidates_drawn": candidates, "candidates_within_tolerance": within_tolerance})
     finally:

@@ -163,6 +163,7 @@ def _environment(scratch: str) -> dict[str, str]:
     return {
         **kept,
         "LP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
         "TMPDIR": scratch,
         "BLENDER_USER_RESOURCES": scratch,

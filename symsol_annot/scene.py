@@ -18,6 +18,7 @@ BACKGROUND, BODY, MARKING = 0, 1, 2  # segmentation ids
 ENGINES = ("workbench", "cycles", "eevee")
 DEFAULT_SIZE = 224
 SIZE_RANGE = (16, 2048)
+SAMPLES_PER_AXIS = (2, 4, 6, 8)  # even, and sums of their squares fit 16 bits
 _DISTANCE = 4.0
 _FILLED_WIDTH = 0.9  # of the image's width, by the unit bounding sphere
 
@@ -53,6 +54,14 @@ class Camera:
         focal_px = 0.5 * _FILLED_WIDTH * size * float(np.sqrt(_DISTANCE**2 - 1.0))
         return cls(_DISTANCE, focal_px, size, size)
 
+    def lattice(self, samples_per_axis: int) -> "Camera":
+        """Return the camera whose pixels are this one's samples: on pixel corners, edges and inside, 1/n pixel apart.
+
+        It has n W + 1 by n H + 1 of them; with n even, one lies at each pixel's centre.
+        """
+        n = samples_per_axis
+        return Camera(self.distance, n * self.focal_px, n * self.width + 1, n * self.height + 1)
+
     def project(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the pixel coordinates (..., 2) of world points (..., 3); pixel centres are at half-integers."""
         depth = points[..., 2] + self.distance
@@ -68,10 +77,10 @@ class Camera:
 class RenderSettings:
     """How views are drawn.
 
-    The RGB is rendered at `samples_per_axis` times the size, each sample at its own centre, and averaged
-    over each pixel in display values; the marking's area is counted on that same lattice. The light is a
-    headlight: a surface with normal n shows colour x (ambient + diffuse x max(0, -n_z)), linear, then sRGB.
-    The colours are linear RGB.
+    Samples lie 1 / `samples_per_axis` pixel apart, as `Camera.lattice` has them. A pixel's RGB is the average over its
+    square by the trapezoidal rule in display values, and its segmentation the sample at its centre; the marking's area
+    is counted on the same samples. The light is a headlight: a surface with normal n shows
+    colour x (ambient + diffuse x max(0, -n_z)), linear, then sRGB. The colours are linear RGB.
     """
 
     engine: str = "workbench"
@@ -83,9 +92,11 @@ class RenderSettings:
     diffuse: float = 0.96
 
     def __post_init__(self) -> None:
-        """Refuse an engine that does not exist."""
+        """Refuse an engine that does not exist, and a lattice without a sample at a pixel's centre."""
         if self.engine not in ENGINES:
             raise SettingsError(f"engine: expected one of {', '.join(ENGINES)}, found {self.engine!r}")
+        if self.samples_per_axis not in SAMPLES_PER_AXIS:
+            raise SettingsError(f"samples_per_axis: expected 2, 4, 6 or 8, found {self.samples_per_axis!r}")
 
     @property
     def samples_per_pixel(self) -> int:
@@ -110,10 +121,12 @@ class View:
     Attributes:
         rgb: (H, W, 3) u8, anti-aliased.
         segmentation: (H, W) u8, the id (0 background, 1 body, 2 marking) at each pixel's centre.
+        marking_pixels: the marking's visible area: its samples, over the samples a pixel.
     """
 
     rgb: npt.NDArray[np.uint8]
     segmentation: npt.NDArray[np.uint8]
+    marking_pixels: float
 
 
 class Renderer(Protocol):
@@ -127,11 +140,7 @@ class Renderer(Protocol):
         """Draw the object under one rotation (3, 3)."""
 
     def marking_pixels(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
-        """Return p(R), the marking's visible area in pixels, under each of (n, 3, 3) rotations: (n,).
-
-        Samples of the RGB's anti-aliasing lattice that fall on the marking, over the samples a pixel;
-        back faces are culled.
-        """
+        """Return the `marking_pixels` of the view under each of (n, 3, 3) rotations, without its pictures: (n,)."""
 
     def close(self) -> None:
         """Let go of what the renderer holds."""
@@ -141,16 +150,3 @@ class Renderer(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
-
-
-def box_filter(samples: npt.NDArray[np.uint8], samples_per_axis: int) -> npt.NDArray[np.uint8]:
-    """Average each square of samples: (H n, W n, C) u8 to (H, W, C) u8, halves rounded up."""
-    n = samples_per_axis
-    height, width, channels = samples.shape[0] // n, samples.shape[1] // n, samples.shape[2]
-    averages = np.empty((height, width, channels), np.uint8)
-    for channel in range(channels):  # one by one: numpy adds long strides fast and short ones slowly
-        sums = np.zeros((height, width), np.uint32)
-        for i, j in np.ndindex(n, n):
-            sums += samples[i::n, j::n, channel]
-        averages[..., channel] = (2 * sums + n * n) // (2 * n * n)
-    return averages

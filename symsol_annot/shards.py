@@ -1,11 +1,12 @@
 """The HDF5 shard: what it holds, how it is written whole, and how a stranger's file is opened safely.
 
 docs/format.md is the contract. A shard is built in memory and written in one go, so that a full disk is an
-ordinary error, and its bytes depend on nothing but its contents and the HDF5 library.
+ordinary error, and its bytes depend on nothing but its contents and the libraries in `storage_versions`.
 """
 
 import hashlib
 import json
+import math
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,17 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.chunks import (
+    DEFLATE,
+    FLETCHER32,
+    GZIP_LEVEL,
+    HDF5_ERRORS,
+    SHUFFLE,
+    deflate_version,
+    filters_of,
+    inflated,
+    stored,
+)
 from symsol_annot.errors import DataError
 from symsol_annot.objects import MAX_GROUP_ORDER
 from symsol_annot.scene import View
@@ -24,7 +36,6 @@ from symsol_annot.so3 import Rotations
 
 SHARD_FORMAT = "symsol-annot shard"
 SHARD_FORMAT_VERSION = 1
-_GZIP_LEVEL = 4
 _IMAGE_DATASETS = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask")  # one row an image
 _TEXT, _WHOLE, _REAL = (str,), (int, np.integer), (float, np.floating)
 _ATTRIBUTES: dict[str, tuple[type, ...]] = {
@@ -44,8 +55,7 @@ _ATTRIBUTES: dict[str, tuple[type, ...]] = {
     "candidates_within_tolerance": _WHOLE,
 }
 _MAX_SIDE = 2 * MAX_GROUP_ORDER  # so that a small file cannot ask for all memory
-HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
-_ALLOWED_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_SHUFFLE}
+_ALLOWED_FILTERS = {DEFLATE, FLETCHER32, SHUFFLE}
 
 
 @dataclass(frozen=True)
@@ -118,7 +128,7 @@ class ShardFile:
 
 
 class ShardWriter:
-    """Builds one shard, image by image."""
+    """Builds one shard, image by image; the chunks are made here, not by HDF5, so that threads do so at once."""
 
     def __init__(self, header: ShardHeader, count: int, symmetry_group: Rotations, *, annotated: bool) -> None:
         in_memory = f"shard-{uuid.uuid4()}"  # HDF5 tells files that are open at the same time apart by name
@@ -126,24 +136,25 @@ class ShardWriter:
         self._count, self._written = count, 0
         self._file.attrs.update(header.to_attributes())
         size = (header.camera["height"], header.camera["width"])
-        self._create("image", (count, *size, 3), "u1", chunk_rows=1)
-        self._create("segmentation", (count, *size), "u1", chunk_rows=1)
-        self._create("rotation", (count, 3, 3), "f8")
-        self._create("marking_pixels", (count,), "f4")
+        self._image = self._create("image", (count, *size, 3), "u1", chunk_rows=1)
+        self._segmentation = self._create("segmentation", (count, *size), "u1", chunk_rows=1)
+        self._labels = {"rotation": np.zeros((count, 3, 3)), "marking_pixels": np.zeros(count, dtype="f4")}
         if annotated:
-            self._create("symmetry_mask", (count, len(symmetry_group)), "?")
-        self._create("symmetry_group", symmetry_group.shape, "f8")
-        self._file["symmetry_group"][...] = symmetry_group
+            self._labels["symmetry_mask"] = np.zeros((count, len(symmetry_group)), dtype=bool)
+        self._labels["symmetry_group"] = symmetry_group
+        self._content = hashlib.sha256(_content_heading(self._image))
+        self._segmentations: list[bytes] = []  # as they are stored, until their turn in the digest
 
     def add(self, record: ImageRecord) -> None:
         """Append one image."""
         row = self._written
-        self._file["image"][row] = record.view.rgb
-        self._file["segmentation"][row] = record.view.segmentation
-        self._file["rotation"][row] = record.R_m2c
-        self._file["marking_pixels"][row] = record.marking_pixels
+        _store(self._image, row, record.view.rgb[None])
+        self._content.update(record.view.rgb.tobytes())
+        self._segmentations.append(_store(self._segmentation, row, record.view.segmentation[None]))
+        self._labels["rotation"][row] = record.R_m2c
+        self._labels["marking_pixels"][row] = record.marking_pixels
         if record.symmetry_mask is not None:
-            self._file["symmetry_mask"][row] = record.symmetry_mask
+            self._labels["symmetry_mask"][row] = record.symmetry_mask
         self._written += 1
 
     def finish(self, notes: dict[str, int]) -> ShardFile:
@@ -151,24 +162,41 @@ class ShardWriter:
         if self._written != self._count:
             raise ValueError(f"the shard was made for {self._count} images and holds {self._written}")
         self._file.attrs.update(notes)
+        self._content.update(_content_heading(self._segmentation))
+        for chunk in self._segmentations:
+            self._content.update(inflated(chunk, math.prod(self._segmentation.chunks)))
+        for name, values in self._labels.items():
+            dataset = self._create(name, values.shape, values.dtype.str)
+            _store(dataset, 0, values)
+            self._content.update(_content_heading(dataset) + values.tobytes())
         self._file.flush()
-        return ShardFile(self._file.id.get_file_image(), content_sha256(self._file))
+        return ShardFile(self._file.id.get_file_image(), self._content.hexdigest())
 
     def close(self) -> None:
         """Let go of the memory."""
         self._file.close()
 
-    def _create(self, name: str, shape: tuple[int, ...], dtype: str, chunk_rows: int | None = None) -> None:
-        self._file.create_dataset(
+    def _create(self, name: str, shape: tuple[int, ...], dtype: str, chunk_rows: int | None = None) -> h5py.Dataset:
+        return self._file.create_dataset(
             name,
             shape,
             dtype,
             chunks=(chunk_rows or shape[0], *shape[1:]),
             compression="gzip",
-            compression_opts=_GZIP_LEVEL,
+            compression_opts=GZIP_LEVEL,
             fletcher32=True,
             track_times=False,
         )
+
+
+def _store(dataset: h5py.Dataset, row: int, values: npt.NDArray[Any]) -> bytes:
+    """Write the chunk that begins at a row, and return its bytes."""
+    if values.shape != dataset.chunks or values.dtype != dataset.dtype:
+        expected, found = f"{dataset.dtype} {dataset.chunks}", f"{values.dtype} {values.shape}"
+        raise ValueError(f"{dataset.name}: expected {expected}, found {found}")
+    chunk = stored(values)
+    dataset.id.write_direct_chunk((row, *[0] * (values.ndim - 1)), chunk)
+    return chunk
 
 
 def read_versions(path: Path) -> dict[str, str]:
@@ -186,7 +214,8 @@ def read_versions(path: Path) -> dict[str, str]:
 
 def storage_versions() -> dict[str, str]:
     """Return the libraries that decide a shard's bytes: name to version."""
-    return {"numpy": np.__version__, "h5py": h5py.__version__, "hdf5": h5py.version.hdf5_version}
+    versions = {"numpy": np.__version__, "h5py": h5py.__version__, "hdf5": h5py.version.hdf5_version}
+    return {**versions, "zlib-ng": deflate_version()}
 
 
 def content_sha256(file: h5py.File) -> str:
@@ -195,10 +224,14 @@ def content_sha256(file: h5py.File) -> str:
     for name in (*_IMAGE_DATASETS, "symmetry_group"):
         if name in file:
             dataset = file[name]
-            digest.update(f"{name} {dataset.dtype.str} {dataset.shape}\n".encode())
+            digest.update(_content_heading(dataset))
             for start in range(0, len(dataset), 64):
                 digest.update(np.ascontiguousarray(dataset[start : start + 64]).tobytes())
     return digest.hexdigest()
+
+
+def _content_heading(dataset: h5py.Dataset) -> bytes:
+    return f"{dataset.name.strip('/')} {dataset.dtype.str} {dataset.shape}\n".encode()
 
 
 @contextmanager
@@ -319,8 +352,6 @@ def _dataset_faults(file: h5py.File, name: str, shape: tuple[int, ...], dtype: s
         return [f"{name!r}: its shape {dataset.shape} is beyond the format's limits"]
     if dataset.shape != shape or dataset.dtype.str != dtype or 0 in shape:
         return [f"{name!r}: expected {dtype} of shape {shape}, found {dataset.dtype.str} of shape {dataset.shape}"]
-    plist = dataset.id.get_create_plist()
-    filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
-    if dataset.is_virtual or dataset.external or not filters <= _ALLOWED_FILTERS:
+    if dataset.is_virtual or dataset.external or not set(filters_of(dataset)) <= _ALLOWED_FILTERS:
         return [f"{name!r} is stored outside the file or with a filter that is not allowed"]
     return []

@@ -8,11 +8,12 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.chunks import HDF5_ERRORS
 from symsol_annot.errors import DataError
 from symsol_annot.files import file_sha256
 from symsol_annot.manifest import Manifest, ShardEntry, read_manifest
 from symsol_annot.scene import MARKING
-from symsol_annot.shards import HDF5_ERRORS, content_sha256, header_mismatches, open_shard
+from symsol_annot.shards import content_sha256, header_mismatches, open_shard
 from symsol_annot.so3 import ORTHONORMAL_TOLERANCE, Rotations, rotation_deviation
 
 Flags: TypeAlias = npt.NDArray[np.bool_]

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.lattice import Segments, count_inside, is_inside, samples_near
+from symsol_annot.lattice import Samples, Segments, count_inside, is_inside, samples_near
 from symsol_annot.mesh import Mesh
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.so3 import Rotations
@@ -25,6 +25,8 @@ Flags = npt.NDArray[np.bool_]
 # the centres, in samples; and float32 arithmetic, as a share of the lattice's width.
 _ROUNDING = {"workbench": 1.0 / 512.0, "eevee": 1.0 / 512.0, "cycles": 1.0 / 64.0}
 _FLOAT32 = 1e-6
+_PRODUCT = 1 << 18  # multiplications of one matrix product, beyond which OpenBLAS would start threads
+_NEXT = [1, 2, 0]  # the corner after each of a triangle's three
 _CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
 
 
@@ -44,18 +46,22 @@ class MarkingVisibility:
     """
 
     def __init__(self, mesh: Mesh, camera: Camera, settings: RenderSettings) -> None:
-        self._camera, self._scale = camera, settings.samples_per_axis
-        self._focal = self._scale * camera.focal_px
+        self._lattice, self._per_pixel = camera.lattice(settings.samples_per_axis), settings.samples_per_pixel
         self._shift = vertex_shift(camera, settings)
         used, local = np.unique(mesh.triangles[mesh.is_marking], return_inverse=True)
         self._vertices, self._triangles = mesh.vertices[used], local.reshape(-1, 3)
         self._body_planes = _planes(mesh)
-        self._edges, self._sides = _edges_and_sides(self._triangles)
-        a, b, c = np.moveaxis(self._vertices[self._triangles], 1, 0)
+        self._neighbours = _neighbours(self._triangles)
+        corners = self._vertices[self._triangles.T]
+        ends = corners[_NEXT]
+        a, b, c = corners
         normals = np.cross(b - a, c - a)  # twice the area long
-        self._planes = normals, (normals * a).sum(axis=1)
-        self._two_shortest = np.sort(np.linalg.norm([b - a, c - b, a - c], axis=-1), axis=0)[:2].sum(axis=0)
-        self._edge_lengths = np.linalg.norm(np.diff(self._vertices[self._edges], axis=1)[:, 0], axis=-1)
+        self._planes = np.column_stack([normals, -(normals * a).sum(axis=1)])
+        self._middles = corners.mean(axis=0).T
+        lengths = np.linalg.norm(ends - corners, axis=-1)
+        self._two_shortest = np.sort(lengths, axis=0)[:2].sum(axis=0)
+        lines = np.concatenate([np.cross(ends, corners), corners - ends], axis=-1) / lengths[..., None]
+        self._lines = lines.reshape(-1, 6)
         self._middle = (self._vertices.min(axis=0) + self._vertices.max(axis=0)) / 2.0
         self._radius = np.linalg.norm(self._vertices - self._middle, axis=1).max()
 
@@ -64,11 +70,10 @@ class MarkingVisibility:
 
         It is on the same side of the tolerance as the area that a renderer counts, and 0 where that is 0.
         """
-        per_pixel = self._scale**2
-        enough = math.ceil(tolerance_px * per_pixel)
+        enough = math.ceil(tolerance_px * self._per_pixel)
         lower, upper = self.bounds(R_m2c, enough)
         is_decided = (lower >= enough) | (upper == 0) | ((lower > 0) & (upper < enough))
-        return np.where(is_decided, lower / per_pixel, np.nan)
+        return np.where(is_decided, lower / self._per_pixel, np.nan)
 
     def bounds(self, R_m2c: Rotations, enough: int) -> tuple[Counts, Counts]:
         """Return lower and upper bounds on the marking's samples under each of n rotations.
@@ -80,64 +85,97 @@ class MarkingVisibility:
         Returns:
             (n,) and (n,); the renderer's count lies between them.
         """
-        facing = self._facing(R_m2c)
-        depth = R_m2c[:, 2] @ self._middle + self._camera.distance
-        near, far = (depth - self._radius)[:, None], (depth + self._radius)[:, None]
-        slack = self._facing_slack(near, far)
-        lower = self._surely(facing, near, far)
-        upper = np.where((facing > -slack).any(axis=1), np.iinfo(np.int64).max, 0)
+        lower, upper = np.zeros(len(R_m2c), dtype=np.int64), np.zeros(len(R_m2c), dtype=np.int64)
+        step = max(_PRODUCT // self._lines.size, 1)
+        for start in range(0, len(R_m2c), step):
+            block = slice(start, start + step)
+            lower[block], upper[block] = self._quick_bounds(R_m2c[block])
         (open_,) = np.nonzero((upper > 0) & (lower < enough))
         if len(open_):
-            lower[open_], upper[open_] = self._count(R_m2c[open_], facing[open_], slack[open_])
+            lower[open_], upper[open_] = self._count(R_m2c[open_])
+        return lower, upper
+
+    def _quick_bounds(self, R_m2c: Rotations) -> tuple[Counts, Counts]:
+        """Return lower bounds around one sample, and upper bounds of 0 where every triangle faces away for sure."""
+        facing, lower = self._facing(R_m2c), np.zeros(len(R_m2c), dtype=np.int64)
+        upper = np.where((facing > -self._facing_slack(R_m2c)).any(axis=0), np.iinfo(np.int64).max, 0)
+        (seen,) = np.nonzero((facing > 0).any(axis=0))
+        lower[seen] = self._around_one_sample(R_m2c[seen], facing[:, seen])
         return lower, upper
 
     def _facing(self, R_m2c: Rotations) -> Floats:
-        """Return twice a triangle's area times its plane's distance to the camera, positive in front: (n, T).
+        """Return twice a triangle's area times its plane's distance to the camera, positive in front: (T, n).
 
         The projected area is that times the focal length squared, over the product of the three corners' depths.
         """
-        normals, offsets = self._planes
-        camera = -self._camera.distance * R_m2c[:, 2]  # in model coordinates: R^T (0, 0, -distance)
-        return camera @ normals.T - offsets
+        camera = -self._lattice.distance * R_m2c[:, 2]  # in model coordinates: R^T (0, 0, -distance)
+        return np.asarray(self._planes @ np.column_stack([camera, np.ones(len(camera))]).T)
 
-    def _facing_slack(self, near: Floats, far: Floats) -> Floats:
-        """Return by how much moved vertices can change each triangle's facing: (n, T)."""
-        lengths = np.sqrt(2.0) * self._longest(near) * self._two_shortest
-        return _area_slack(lengths, self._shift) * far**3 / self._focal**2
+    def _depths(self, R_m2c: Rotations) -> tuple[Floats, Floats]:
+        """Return depths (n,) that no point of the marking is nearer than, and farther than."""
+        depth = R_m2c[:, 2] @ self._middle + self._lattice.distance
+        return depth - self._radius, depth + self._radius
+
+    def _facing_slack(self, R_m2c: Rotations) -> Floats:
+        """Return by how much moved vertices can change each triangle's facing: (T, n).
+
+        Twice a projected area, of sides f and g, changes by at most 2 e (|f|_1 + |g|_1) + 8 e^2.
+        """
+        near, far = self._depths(R_m2c)
+        scale = far**3 / self._lattice.focal_px**2
+        by_length = 2.0 * self._shift * np.sqrt(2.0) * self._longest(near) * scale
+        return self._two_shortest[:, None] * by_length + 8.0 * self._shift**2 * scale
 
     def _longest(self, near: Floats) -> Floats:
         """Return the most samples that a model length of 1 can span at a depth of at least `near`, anywhere in view."""
-        return self._focal / near * self._camera.distance / np.sqrt(self._camera.distance**2 - 1.0)
+        return self._lattice.focal_px / near * self._lattice.distance / np.sqrt(self._lattice.distance**2 - 1.0)
 
-    def _surely(self, facing: Floats, near: Floats, far: Floats) -> Counts:
-        """Return a lower bound (n,) from the area and the outline of what faces the camera, without projecting it.
+    def _around_one_sample(self, R_m2c: Rotations, facing: Floats) -> Counts:
+        """Return a lower bound (n,): the samples of a square in the front, around one sample amid it.
 
-        A region with an outline of length P in B edges holds more than A - P - B / 3 samples (Steinhaus, 1947, for each
-        of its loops), of which at most 1.1 P + B are near the outline.
+        A triangle of a side and the sample has twice the area det(d, a - o, b - o) f^2 / (z_a z_b), from the Pluecker
+        coordinates of ray and side. Over the side's length, that is how far its line is from the sample. A square of
+        half-side k reaches sqrt(2) k from its middle; from there to the outline there must be more than sqrt(2) e.
         """
-        in_front = facing > 0
-        is_outline = self._is_outline(in_front)
-        area = np.where(in_front, facing, 0.0).sum(axis=1) * self._focal**2 / (2.0 * far[:, 0] ** 3)
-        outline = is_outline @ self._edge_lengths * self._longest(near)[:, 0]
-        surely = area - 2.1 * outline - 4.0 / 3.0 * is_outline.sum(axis=1)
-        return np.maximum(np.floor(surely), 0.0).astype(np.int64)
+        in_front, (near, far) = facing > 0, self._depths(R_m2c)
+        heights = (self._lines @ self._rays_amid(R_m2c, facing)).reshape(*self._neighbours.shape, len(R_m2c))
+        is_inside = ((heights > 0).all(axis=0) & in_front).any(axis=0)
+        np.abs(heights, out=heights)
+        heights[~self._is_outline(in_front)] = np.inf
+        height = heights.min(axis=(0, 1)) * self._lattice.focal_px**2 / far**2 / self._longest(near)
+        half_side = np.ceil(height / np.sqrt(2.0) - self._shift) - 1.0
+        return np.where(is_inside & (half_side >= 0), (2.0 * half_side + 1.0) ** 2, 0.0).astype(np.int64)
+
+    def _rays_amid(self, R_m2c: Rotations, facing: Floats) -> Floats:
+        """Return Pluecker coordinates (6, n), in model coordinates, of rays through the samples amid the front."""
+        weights = np.maximum(facing, 0.0)
+        middle = self._middles @ weights / weights.sum(axis=0)
+        world = (R_m2c @ middle.T[:, :, None])[:, :, 0]
+        x, y = self._slopes(np.floor(self._lattice.project(world)) + 0.5).T
+        one, zero, distance = np.ones_like(x), np.zeros_like(x), self._lattice.distance
+        rays = np.array([[x, y, one], [distance * y, -distance * x, zero]])  # direction d, moment o x d
+        return (rays.transpose(2, 0, 1) @ R_m2c).reshape(-1, 6).T
+
+    def _slopes(self, points: Floats) -> Floats:
+        """Return x / z and y / z (..., 2) of the rays through points (..., 2) of the lattice."""
+        centre = np.array([self._lattice.width, self._lattice.height]) / 2.0
+        return (points - centre) / self._lattice.focal_px
 
     def _is_outline(self, in_front: Flags) -> Flags:
-        """Tell which edges (n, E) have a front triangle (n, T) on one side only."""
-        in_front = np.pad(in_front, [(0, 0), (0, 1)])  # beyond the marking nothing is its front
-        return in_front[:, self._sides[:, 0]] ^ in_front[:, self._sides[:, 1]]
+        """Tell which sides (3, T, n) of front triangles (T, n) have no front triangle beyond them."""
+        is_other = np.concatenate([~in_front, np.ones_like(in_front[:1])])  # beyond the marking nothing is its front
+        return in_front & is_other[self._neighbours]
 
-    def _count(self, R_m2c: Rotations, facing: Floats, slack: Floats) -> tuple[Counts, Counts]:
+    def _count(self, R_m2c: Rotations) -> tuple[Counts, Counts]:
         """Return close bounds: the samples inside the front's outline, less or plus what moved vertices can change.
 
-        That is near the outline, or near a triangle seen so close to edge-on that it may be drawn the wrong way round.
-        Such a triangle lies behind the front but where that ends, at the silhouette.
+        That is near the outline, or in a triangle seen from so little behind that it may be drawn.
         """
-        n, points = len(R_m2c), self._project(R_m2c)
+        n, points, facing = len(R_m2c), self._project(R_m2c), self._facing(R_m2c)
         outline = self._outline(points, facing > 0)
         count, near = count_inside(outline, n), samples_near(outline, self._shift)
         is_less = is_inside(near, outline)
-        turned = samples_near(*self._slivers(points, np.abs(facing) <= slack))
+        turned = self._in_turned(points, (facing <= 0) & (facing >= -self._facing_slack(R_m2c)))
         turned = turned[~is_inside(turned, outline)]
         is_behind = self._is_within_silhouette(R_m2c[turned.owner], turned.centres, 2.0 * self._shift)
         less, more = near[is_less].owner, (near[~is_less] | turned[~is_behind]).owner
@@ -148,11 +186,10 @@ class MarkingVisibility:
 
         The silhouette is convex, so a square is in it where the rays through its four corners meet the body.
         """
-        corners = centres[:, None] + margin * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-        middle = self._scale * np.array([self._camera.width, self._camera.height]) / 2.0
-        rays = np.pad((corners - middle) / self._focal, [(0, 0), (0, 0), (0, 1)], constant_values=1.0) @ R_m2c
+        corners = self._slopes(centres[:, None] + margin * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]))
+        rays = np.concatenate([corners, np.ones_like(corners[..., :1])], axis=-1) @ R_m2c
         normals, offsets = self._body_planes
-        gap = offsets + self._camera.distance * R_m2c[:, None, 2] @ normals.T  # (k, 1, planes), camera to plane
+        gap = offsets + self._lattice.distance * R_m2c[:, None, 2] @ normals.T  # (k, 1, planes), camera to plane
         speed = rays @ normals.T
         with np.errstate(divide="ignore", invalid="ignore"):
             steps = gap / speed
@@ -161,40 +198,46 @@ class MarkingVisibility:
         return np.asarray((enter < leave).all(axis=1))
 
     def _outline(self, points: Floats, in_front: Flags) -> Segments:
-        """Return the outlines of the front triangles (n, T), running upwards on the right of them."""
-        image, edge = np.nonzero(self._is_outline(in_front))
-        forward = in_front[image, np.minimum(self._sides[edge, 0], in_front.shape[1] - 1)]
-        forward &= self._sides[edge, 0] < in_front.shape[1]
-        start, end = np.where(forward, self._edges[edge].T, self._edges[edge, ::-1].T)
+        """Return the outlines of the front triangles (T, n), running upwards on the right of them."""
+        side, triangle, image = np.nonzero(self._is_outline(in_front))
+        start, end = self._triangles[triangle, side], self._triangles[triangle, (side + 1) % 3]
         return Segments(image, points[image, start], points[image, end])
 
-    def _slivers(self, points: Floats, perhaps: Flags) -> tuple[Segments, Floats]:
-        """Return the longest sides of the triangles that may be drawn the wrong way round, and how far they reach."""
-        image, triangle = np.nonzero(perhaps)
-        corners = points[image[:, None], self._triangles[triangle]]
-        sides = np.roll(corners, -1, axis=1) - corners
-        lengths = np.linalg.norm(sides, axis=-1)
-        area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
-        is_sliver = area <= _area_slack(np.sort(np.abs(sides).sum(axis=-1), axis=1)[:, :2].sum(axis=1), self._shift)
-        image, corners, lengths, area = image[is_sliver], corners[is_sliver], lengths[is_sliver], area[is_sliver]
-        rows, longest = np.arange(len(image)), lengths.argmax(axis=1)
-        height = area / np.maximum(lengths[rows, longest], np.finfo(float).tiny)
-        ends = corners[rows, longest], corners[rows, (longest + 1) % 3]
-        return Segments(image, *ends), self._shift + height
+    def _in_turned(self, points: Floats, perhaps: Flags) -> Samples:
+        """Return the samples that triangles (T, n) seen from behind may hold when moved vertices turn them round.
+
+        A moved triangle a, b, c that is drawn has a sample p on the left of all its sides, and moving changes
+        (a - p) x (b - p) by at most e (|a - p|_1 + |b - p|_1) + 2 e^2.
+        """
+        triangle, image = np.nonzero(perhaps)
+        corners = points[image, self._triangles[triangle].T]  # (3, s, 2)
+        sides = corners[_NEXT] - corners
+        lengths = np.hypot(sides[..., 0], sides[..., 1])
+        sliver, longest = np.arange(len(image)), lengths.argmax(axis=0)
+        height = np.abs(_cross(sides[0], sides[1])) / np.maximum(lengths.max(axis=0), np.finfo(float).tiny)
+        start = corners[longest, sliver]
+        samples = samples_near(Segments(sliver, start, start + sides[longest, sliver]), self._shift + height)
+        a = corners[:, samples.owner] - samples.centres
+        b = a[_NEXT]
+        change = self._shift * (np.abs(a).sum(axis=-1) + np.abs(b).sum(axis=-1)) + 2.0 * self._shift**2
+        samples = samples[(_cross(a, b) <= change).all(axis=0)]  # v runs downwards: left is negative
+        return Samples.of((image[samples.owner], samples.row, samples.column))
 
     def _project(self, R_m2c: Rotations) -> Floats:
         """Return all vertices on the lattice of samples, a sample's centre at half-integers: (n, V, 2)."""
-        return self._scale * self._camera.project(self._vertices @ np.swapaxes(R_m2c, -1, -2))
+        world = np.swapaxes(R_m2c, 0, 1) @ self._vertices.T  # (3, n, V): x, y and z each in one piece
+        return self._lattice.project(np.moveaxis(world, 0, -1))
 
 
 def vertex_shift(camera: Camera, settings: RenderSettings) -> float:
     """Return by how many samples, along u or v, a renderer can move a projected vertex."""
-    return _ROUNDING[settings.engine] + _FLOAT32 * settings.samples_per_axis * max(camera.width, camera.height)
+    lattice = camera.lattice(settings.samples_per_axis)
+    return _ROUNDING[settings.engine] + _FLOAT32 * max(lattice.width, lattice.height)
 
 
-def _area_slack(lengths: Floats, shift: float) -> Floats:
-    """Return how much moved vertices change twice a triangle's area, from |f|_1 + |g|_1 of two of its sides."""
-    return 2.0 * shift * lengths + 8.0 * shift**2
+def _cross(f: Floats, g: Floats) -> Floats:
+    """Return the cross product of vectors (..., 2): twice the area of the triangle that they span."""
+    return f[..., 0] * g[..., 1] - f[..., 1] * g[..., 0]
 
 
 def _planes(mesh: Mesh) -> tuple[Floats, Floats]:
@@ -207,14 +250,8 @@ def _planes(mesh: Mesh) -> tuple[Floats, Floats]:
     return normals[first], offsets[first]
 
 
-def _edges_and_sides(triangles: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the edges (E, 2) and the triangles on their two sides (E, 2): the one that has it forward, and the other.
-
-    Where there is none, the number is that of the triangles.
-    """
-    directed = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    edges, number = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-    sides = np.full((len(edges), 2), len(triangles))
-    is_backward = (directed[:, 0] > directed[:, 1]).astype(int)
-    sides[number.reshape(-1), is_backward] = np.tile(np.arange(len(triangles)), 3)
-    return edges, sides
+def _neighbours(triangles: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return which triangle lies beyond the three sides of each of T triangles: (3, T), and T where there is none."""
+    sides = np.stack([triangles.T, triangles.T[_NEXT]], axis=-1).reshape(-1, 2).tolist()
+    having = {(start, end): number % len(triangles) for number, (start, end) in enumerate(sides)}
+    return np.array([having.get((end, start), len(triangles)) for start, end in sides]).reshape(3, -1)

@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -38,6 +39,9 @@ class DiscRenderer(NumpyRenderer):
         self._points = CYLINDER_RADIUS * self._normals + np.outer(DISC_Z + up[is_inside], [0, 0, 1])
         self._patch_area = np.pi * DISC_RADIUS**2 / len(angle)
         self._focal_px = FILLED / 2 * size / np.tan(np.arcsin(1 / CAMERA_DISTANCE))
+
+    def render(self, R_m2c):
+        return replace(super().render(R_m2c), marking_pixels=float(self.marking_pixels(R_m2c[None])[0]))
 
     def marking_pixels(self, R_m2c):
         rays = self._points @ R_m2c.transpose(0, 2, 1) + [0, 0, CAMERA_DISTANCE]

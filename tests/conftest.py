@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from numpy_renderer import NumpyRenderer
 
+from symsol_annot.annotate import marking_pixels
 from symsol_annot.generate import SetPlan, generate
 from symsol_annot.objects import load_object
 from symsol_annot.scene import Camera, RenderSettings
@@ -22,6 +23,11 @@ def make_plan(name="tetX", train=0, test=40, seed=0, size=SIZE, annotate="test")
     return SetPlan(
         load_object(name), {"train": train, "test": test}, seed, Camera.filling(size), RenderSettings(), annotate
     )
+
+
+def pixels_of(spec, R, renderer):
+    """The area by which the image at R shows the marking, as a set would store it."""
+    return marking_pixels(spec, R, float(renderer.marking_pixels(R[None])[0]), renderer) if spec.marking else 0.0
 
 
 def make_set(folder, name="tetX", workers=1, **plan):

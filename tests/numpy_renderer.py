@@ -1,12 +1,13 @@
 """A plain Renderer on the ray caster, for tests that are not about Blender."""
 
 import numpy as np
-from oracle import cast
+from oracle import cast, cast_samples
 
 from symsol_annot.scene import View
 
 COLOURS = np.array([[255, 255, 255], [180, 200, 230], [230, 90, 40]], dtype=np.uint8)
-SAMPLES_PER_AXIS = 2
+# Of the 3x3 samples of a pixel, those on its corners are shared by four, those on its edges by two.
+WEIGHTS = {(i, j): (2 - abs(i - 1)) * (2 - abs(j - 1)) for i in range(3) for j in range(3)}
 
 
 class NumpyRenderer:
@@ -21,17 +22,17 @@ class NumpyRenderer:
 
     def render(self, R_m2c):
         self.on_frame()
-        n = SAMPLES_PER_AXIS
-        samples = COLOURS[cast(self.name, R_m2c, self.size, n)].astype(np.uint16)
-        blocks = samples.reshape(self.size, n, self.size, n, 3)
-        return View(
-            ((blocks.sum(axis=(1, 3)) + n * n // 2) // (n * n)).astype(np.uint8), cast(self.name, R_m2c, self.size)
-        )
+        ids = cast_samples(self.name, R_m2c, self.size)
+        samples = COLOURS[ids].astype(int)
+        rgb = np.zeros((self.size, self.size, 3), int)
+        for (row, column), weight in WEIGHTS.items():
+            rgb += weight * samples[row:, column:][: 2 * self.size : 2, : 2 * self.size : 2]
+        marking_pixels = np.count_nonzero(ids == 2) / 4
+        return View(((rgb + 8) // 16).astype(np.uint8), cast(self.name, R_m2c, self.size), marking_pixels)
 
     def marking_pixels(self, R_m2c):
-        n = SAMPLES_PER_AXIS
-        counts = [np.count_nonzero(cast(self.name, R, self.size, n) == 2) for R in R_m2c]
-        return np.array(counts, dtype=float) / n**2
+        counts = [np.count_nonzero(cast_samples(self.name, R, self.size) == 2) for R in R_m2c]
+        return np.array(counts, dtype=float) / 4
 
     def close(self):
         self.is_closed = True

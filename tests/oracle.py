@@ -54,16 +54,24 @@ def on_marking(name, points, faces):
     return (faces < 360) & (np.hypot((steps + 0.5) * width + across, points[:, 2] - DISC_Z) < DISC_RADIUS)
 
 
-def cast(name, R_m2c, size=224, samples_per_axis=1):
-    """The ids (0 background, 1 body, 2 marking) at the centres of a lattice of samples: (size n, size n)."""
-    n = size * samples_per_axis
-    focal = FILLED / 2 * n / np.tan(np.arcsin(1 / CAMERA_DISTANCE))
-    u, v = np.meshgrid(np.arange(n) + 0.5, np.arange(n) + 0.5)
-    directions = np.stack([(u - n / 2) / focal, (v - n / 2) / focal, np.ones((n, n))], axis=-1).reshape(-1, 3)
+def cast(name, R_m2c, size=224):
+    """The ids (0 background, 1 body, 2 marking) at the pixels' centres: (size, size)."""
+    return _cast_at(name, R_m2c, size, np.arange(size) + 0.5)
+
+
+def cast_samples(name, R_m2c, size=224, samples_per_axis=2):
+    """The ids at the samples of the RGB, from the image's corner on, n a pixel: (n size + 1, n size + 1)."""
+    return _cast_at(name, R_m2c, size, np.arange(samples_per_axis * size + 1) / samples_per_axis)
+
+
+def _cast_at(name, R_m2c, size, places):
+    focal = FILLED / 2 * size / np.tan(np.arcsin(1 / CAMERA_DISTANCE))
+    x, y = np.meshgrid((places - size / 2) / focal, (places - size / 2) / focal)
+    directions = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
     ids = np.concatenate(
-        [_cast_rays(name, R_m2c, directions[i : i + RAYS_AT_ONCE]) for i in range(0, n * n, RAYS_AT_ONCE)]
+        [_cast_rays(name, R_m2c, directions[i : i + RAYS_AT_ONCE]) for i in range(0, len(directions), RAYS_AT_ONCE)]
     )
-    return ids.reshape(n, n)
+    return ids.reshape(x.shape)
 
 
 def _cast_rays(name, R_m2c, directions_c):

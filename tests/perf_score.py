@@ -45,7 +45,8 @@ class FacingRenderer:
         self._camera = np.array([0, 0, -camera.distance])
 
     def render(self, R_m2c):
-        return View(np.zeros((SIZE, SIZE, 3), np.uint8), np.zeros((SIZE, SIZE), np.uint8))
+        pixels = float(self.marking_pixels(R_m2c[None])[0])
+        return View(np.zeros((SIZE, SIZE, 3), np.uint8), np.zeros((SIZE, SIZE), np.uint8), pixels)
 
     def marking_pixels(self, R_m2c):
         return 100.0 * (((self._camera - R_m2c @ self._middle) * (R_m2c @ self._normal)).sum(axis=1) > 0)

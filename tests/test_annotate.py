@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import pixels_of
 from numpy_renderer import NumpyRenderer
 from oracle import cast
 from soak import MAX_FRAY_DEG, fray_deg
 
-from symsol_annot.annotate import annotate, is_shown, marking_pixels
+from symsol_annot.annotate import annotate, is_shown
 from symsol_annot.objects import load_object
 from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import Camera, RenderSettings
@@ -35,7 +36,7 @@ def rotations(count, seed=0):
 
 
 def symmetry_set(spec, R, renderer):
-    return R @ spec.symmetry_group[annotate(spec, R, marking_pixels(spec, R, renderer), renderer).mask]
+    return R @ spec.symmetry_group[annotate(spec, R, pixels_of(spec, R, renderer), renderer).mask]
 
 
 def same_rotations(a, b):
@@ -89,7 +90,7 @@ def test_the_same_tolerance_decides_the_image_and_its_candidates():
         element = nearest_element(spec.symmetry_group, R.T @ one)
         return by_coset[int(np.flatnonzero((cosets == element).any(axis=1))[0])]
 
-    mask = annotate(spec, R, marking_pixels(spec, R, PrescribedRenderer(area)), PrescribedRenderer(area)).mask
+    mask = annotate(spec, R, pixels_of(spec, R, PrescribedRenderer(area)), PrescribedRenderer(area)).mask
     assert mask[cosets].tolist() == [[True] * 3, [True] * 3, [False] * 3, [True] * 3]
 
 
@@ -101,7 +102,7 @@ def test_a_set_is_a_union_of_cosets_whatever_one_pixel_does():
     def area(one):
         return 5.0 if nearest_element(spec.symmetry_group, R.T @ one) == spec.cosets[2, 1] else 4.75
 
-    mask = annotate(spec, R, marking_pixels(spec, R, PrescribedRenderer(area)), PrescribedRenderer(area)).mask
+    mask = annotate(spec, R, pixels_of(spec, R, PrescribedRenderer(area)), PrescribedRenderer(area)).mask
     assert mask[spec.cosets].all(axis=1).tolist() == [True, True, False, True]
     assert not mask[spec.cosets[2]].any()
 
@@ -123,7 +124,7 @@ def test_every_member_of_a_hidden_view_draws_the_image_and_no_rejected_candidate
     spec = load_object("tetX")
     renderer = NumpyRenderer("tetX", 64)
     for R in rotations(12, seed=1):
-        pixels = marking_pixels(spec, R, renderer)
+        pixels = pixels_of(spec, R, renderer)
         annotation = annotate(spec, R, pixels, renderer)
         image = cast("tetX", R, 64)
         for g, is_member in zip(spec.symmetry_group, annotation.mask, strict=True):
@@ -150,7 +151,7 @@ def test_real_sets_hold_R_gt_and_are_the_same_from_any_member_but_for_the_band()
     in_the_band = 0
     with open_renderer("tetX") as renderer:
         for R in rotations(12, seed=3):
-            pixels = marking_pixels(spec, R, renderer)
+            pixels = pixels_of(spec, R, renderer)
             annotation = annotate(spec, R, pixels, renderer)
             assert annotation.mask[0]
             assert annotation.mask.sum() in (3, 6, 9)
@@ -179,7 +180,7 @@ def test_fray_is_how_far_members_lie_beyond_the_arc():
 def test_a_hidden_discs_set_is_an_arc_on_each_of_two_circles_the_same_from_its_members():
     spec = load_object("cylO")
     with open_renderer("cylO", size=112) as renderer:
-        hidden = [R for R in rotations(8, seed=4) if marking_pixels(spec, R, renderer) == 0][:2]
+        hidden = [R for R in rotations(8, seed=4) if pixels_of(spec, R, renderer) == 0][:2]
         for R in hidden:
             mask = annotate(spec, R, 0.0, renderer).mask
             assert mask[0]
@@ -199,7 +200,7 @@ def test_cycles_and_workbench_give_the_same_sets_outside_the_band(name, views, s
     hidden = 0
     with open_renderer(name, size) as workbench, open_renderer(name, size, "cycles") as cycles:
         for R in rotations(views, seed=6):
-            pixels = [marking_pixels(spec, R, renderer) for renderer in (workbench, cycles)]
+            pixels = [pixels_of(spec, R, renderer) for renderer in (workbench, cycles)]
             found = [annotate(spec, R, p, r) for p, r in zip(pixels, (workbench, cycles), strict=True)]
             hidden += not is_shown(spec, pixels[0])
             drawn = np.stack([annotation.candidate_pixels for annotation in found])

@@ -1,11 +1,15 @@
 """Loading a set: every sample is what h5py reads, whichever way and in whichever process it is asked for."""
 
+import contextlib
 import multiprocessing
 import operator
+import os
 import pickle
 import random
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -33,8 +37,8 @@ def tet_set(tmp_path_factory):
 @pytest.fixture
 def opened(monkeypatch):
     """The names of the shards that are opened from here on, in order."""
-    names, really_open = [], dataset_module.open_shard_file
-    monkeypatch.setattr(dataset_module, "open_shard_file", lambda path: names.append(path.name) or really_open(path))
+    names, really_open = [], dataset_module.open_shard
+    monkeypatch.setattr(dataset_module, "open_shard", lambda path: names.append(path.name) or really_open(path))
     return names
 
 
@@ -70,8 +74,13 @@ def indices(dataset):
     return [sample.index for sample in dataset]
 
 
-def open_files():
-    return h5py.h5f.get_obj_count(h5py.h5f.OBJ_ALL, h5py.h5f.OBJ_FILE)
+def open_shards(folder):
+    """How many descriptors of this process are a folder's shards, by whichever library."""
+    shards, count = {path.stat().st_ino for path in folder.glob("*.h5")}, 0
+    for descriptor in Path("/dev/fd").iterdir():
+        with contextlib.suppress(OSError):
+            count += os.fstat(int(descriptor.name)).st_ino in shards
+    return count
 
 
 def test_every_field_of_every_sample_is_what_h5py_reads(tetX_set):
@@ -231,7 +240,7 @@ def test_no_shard_is_opened_before_a_sample_is_asked_for(tetX_set, monkeypatch):
         pytest.fail(f"{arguments} was opened")
 
     with monkeypatch.context() as patch:
-        patch.setattr(dataset_module, "open_shard_file", refuse)
+        patch.setattr(dataset_module, "open_shard", refuse)
         patch.setattr(h5py, "File", refuse)
         dataset = load(tetX_set)
         parts = dataset[::2], pickle.loads(pickle.dumps(dataset))
@@ -254,32 +263,96 @@ def test_access_opens_only_the_shard_that_holds_the_sample(tetX_set):
 def test_no_more_files_are_open_than_the_cap_and_none_after_close(tmp_path, monkeypatch):
     monkeypatch.setattr(generate_module, "MAX_IMAGES_PER_SHARD", 2)
     folder = make_set(tmp_path, "tet", test=24, size=16)
-    dataset, before, most = load(folder), open_files(), 0
+    dataset, most = load(folder), 0
     assert len(list(folder.glob("*.h5"))) == 12 > dataset_module._MAX_OPEN_SHARDS
     order = list(range(24)) * 2
     random.Random(0).shuffle(order)
     for index in order:
         assert dataset[index].index == index
-        most = max(most, open_files() - before)
-    assert 1 < most <= dataset_module._MAX_OPEN_SHARDS
+        most = max(most, open_shards(folder))
+    assert most == dataset_module._MAX_OPEN_SHARDS
     dataset.close()
-    assert open_files() == before
+    assert open_shards(folder) == 0
     assert dataset[23].index == 23
     dataset.close()
 
 
-def test_shard_is_opened_once(tetX_set, opened):
+@pytest.mark.parametrize("cap", [1, 2, 8])
+def test_shard_is_opened_by_hdf5_once(tetX_set, opened, monkeypatch, cap):
+    monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", cap)
     dataset = load(tetX_set)
     assert indices(dataset) + indices(dataset) == list(range(TEST_IMAGES)) * 2
     assert opened == ALL_TEST_SHARDS
 
 
-def test_shard_that_was_used_last_stays_open(tetX_set, opened, monkeypatch):
+def test_shard_that_was_used_last_stays_open(tetX_set, monkeypatch):
     monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", 2)
     dataset = load(tetX_set)
     for index in (0, 16, 1, 32, 2):
         assert dataset[index].index == index
-    assert opened == ALL_TEST_SHARDS
+    (tetX_set / "test-00000-of-00003.h5").unlink()
+    (tetX_set / "test-00001-of-00003.h5").unlink()
+    assert dataset[3].index == 3
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: cannot be opened again: No such file"):
+        dataset[17]
+
+
+def test_samples_arrays_may_be_written_to_and_the_next_sample_is_as_before(tetX_set):
+    dataset, expected = load(tetX_set), expected_samples(tetX_set)
+    sample = dataset[3]
+    for name in ("image", "segmentation", "rotation", "symmetry_mask"):
+        array = getattr(sample, name)
+        assert array.flags.owndata
+        array[...] = ~array if array.dtype == bool else array + 1
+    assert_is(dataset[3], 3, expected[3])
+    np.testing.assert_array_equal(dataset.labels().rotation[3], expected[3]["rotation"])
+
+
+@pytest.mark.parametrize("cap", [1, 2])
+def test_threads_read_the_same_while_they_take_each_others_files_away(tetX_set, monkeypatch, cap):
+    monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", cap)
+    dataset, expected = load(tetX_set), expected_samples(tetX_set)
+
+    def read_all(seed):
+        order = list(range(TEST_IMAGES)) * 5
+        random.Random(seed).shuffle(order)
+        for index in order:
+            assert_is(dataset[index], index, expected[index])
+        return len(order)
+
+    with ThreadPoolExecutor(6) as pool:
+        assert list(pool.map(read_all, range(6))) == [5 * TEST_IMAGES] * 6
+    dataset.close()
+    assert open_shards(tetX_set) == 0
+
+
+def test_shard_that_was_replaced_after_its_first_use_is_an_error_and_never_a_sample(tetX_set, monkeypatch):
+    monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", 1)
+    dataset, expected = load(tetX_set), expected_samples(tetX_set)
+    assert dataset[0].index == 0
+    path = tetX_set / "test-00000-of-00003.h5"
+    shutil.copy(path, tetX_set / "copy")
+    (tetX_set / "copy").replace(path)
+    assert_is(dataset[1], 1, expected[1])  # it is still open
+    assert dataset[16].index == 16
+    with pytest.raises(
+        DataError, match=r"test-00000-of-00003\.h5: was replaced after it was opened; load the set again"
+    ):
+        dataset[0]
+    dataset.close()
+    assert_is(dataset[0], 0, expected[0])
+
+
+def test_set_whose_shards_were_stored_in_another_way_loads_the_same(tetX_set):
+    expected = expected_samples(tetX_set)
+    for path in tetX_set.glob("test-*.h5"):
+        with h5py.File(path, "r+") as file:
+            for name in ("image", "segmentation", "rotation"):
+                values = file[name][...]
+                del file[name]
+                file[name] = values
+    for index, sample in enumerate(load(tetX_set)):
+        assert_is(sample, index, expected[index])
 
 
 @pytest.mark.parametrize("is_used", [False, True])
@@ -308,27 +381,26 @@ def test_worker_processes_read_the_same_also_after_use_in_the_parent(tetX_set, m
     assert_is(dataset[39], 39, expected[39])
 
 
-def put_every_third(dataset, opened, queue):
-    before = len(opened)
+def put_every_third(dataset, queue):
     for index in range(0, TEST_IMAGES, 3):
         queue.put(dataset[index])
-    queue.put(opened[before:])
+    queue.put(open_shards(dataset.folder))
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_files_that_are_open_at_a_fork_are_opened_anew_by_the_child(tetX_set, opened):
+def test_files_that_are_open_at_a_fork_are_read_by_parent_and_children_at_once(tetX_set):
     dataset, expected = load(tetX_set), expected_samples(tetX_set)
     assert indices(dataset) == list(range(TEST_IMAGES))
     context = multiprocessing.get_context("fork")  # what it hands over is not pickled, but the parent's very object
     queues = [context.SimpleQueue() for _ in range(3)]
-    children = [context.Process(target=put_every_third, args=(dataset, opened, queue), daemon=True) for queue in queues]
+    children = [context.Process(target=put_every_third, args=(dataset, queue), daemon=True) for queue in queues]
     for child in children:
         child.start()
     for queue in queues:
         for index in range(0, TEST_IMAGES, 3):
             assert_is(queue.get(), index, expected[index])
             assert_is(dataset[-index - 1], TEST_IMAGES - index - 1, expected[-index - 1])
-        assert queue.get() == opened == ALL_TEST_SHARDS
+        assert queue.get() == 3
     for child in children:
         child.join(timeout=60)
         assert child.exitcode == 0
@@ -395,6 +467,20 @@ def test_damaged_chunk_is_an_error_that_names_the_file_and_never_a_sample(tetX_s
     path.write_bytes(data)
     with pytest.raises(DataError, match=r"test-00001-of-00003\.h5"):
         load(tetX_set)[PER_SHARD]
+
+
+def test_damaged_image_is_an_error_that_names_its_row_and_the_others_are_read(tetX_set):
+    path, expected = tetX_set / "test-00001-of-00003.h5", expected_samples(tetX_set)
+    with h5py.File(path) as file:
+        chunk = file["image"].id.get_chunk_info_by_coord((5, 0, 0, 0))
+    data = bytearray(path.read_bytes())
+    data[chunk.byte_offset + chunk.size // 2] ^= 1
+    path.write_bytes(data)
+    dataset = load(tetX_set)
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: row 5 cannot be read: image: .*verify"):
+        dataset[PER_SHARD + 5]
+    for row in (4, 6):
+        assert_is(dataset[PER_SHARD + row], PER_SHARD + row, expected[PER_SHARD + row])
 
 
 def test_shard_with_fewer_images_than_the_manifest_says_is_an_error(tetX_set):

@@ -19,7 +19,7 @@ from symsol_annot import errors
 PROJECT = Path(__file__).parents[1]
 PACKAGES = ("symsol_annot", "symsol_annot_cli", "symsol_annot_assets")
 SOURCES = sorted(Path(symsol_annot.__file__).parent.rglob("*.py"))
-BASE = {"symsol_annot", "numpy", "scipy", "h5py"}
+BASE = {"symsol_annot", "numpy", "scipy", "h5py", "zlib_ng"}
 COMMAND_LINE = BASE | {"symsol_annot_cli", "symsol_annot_assets", "click", "tqdm", "healpix", "chealpix"}
 
 LOADED_BY_IMPORT = """

@@ -20,8 +20,8 @@ SETS = "test_annotate.py::test_a_hidden_marking_leaves_all_that_hide_it"
 FAULTS = {
     "multiplied from the left": (
         "symsol_annot/annotate.py",
-        "R_gt @ spec.symmetry_group[others]",
-        "spec.symmetry_group[others] @ R_gt",
+        "R_gt @ spec.symmetry_group[others.reshape(-1)]",
+        "spec.symmetry_group[others.reshape(-1)] @ R_gt",
         SETS,
     ),
     "set multiplied from the left": (
@@ -32,8 +32,8 @@ FAULTS = {
     ),
     "label transposed": (
         "symsol_annot/generate.py",
-        "ImageRecord(renderer.render(R_gt), R_gt,",
-        "ImageRecord(renderer.render(R_gt), R_gt.T,",
+        "ImageRecord(view, R_gt,",
+        "ImageRecord(view, R_gt.T,",
         "test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
     ),
     "object turned the other way": (
@@ -74,15 +74,21 @@ FAULTS = {
     ),
     "geometry seen from behind": (
         "symsol_annot/visibility.py",
-        "camera = -self._camera.distance * R_m2c[:, 2]",
-        "camera = self._camera.distance * R_m2c[:, 2]",
+        "camera = -self._lattice.distance * R_m2c[:, 2]",
+        "camera = self._lattice.distance * R_m2c[:, 2]",
         "test_visibility.py::test_a_ray_casters_count_lies_between_the_bounds[1000000000-tetX]",
     ),
-    "bounds moved the wrong way": (
+    "samples near the outline taken for counted": (
         "symsol_annot/visibility.py",
-        "offset + shift if inwards else offset - shift",
-        "offset - 99 * shift if inwards else offset + 99 * shift",
+        "return count - np.bincount(less, minlength=n), count",
+        "return count + 9 * np.bincount(less, minlength=n), count",
         "test_visibility.py::test_a_ray_casters_count_lies_between_the_bounds[1000000000-tetX]",
+    ),
+    "samples beside the pixels' centres": (
+        "symsol_annot/frames.py",
+        "ids[n // 2 :: n, n // 2 :: n]",
+        "ids[:-1:n, :-1:n]",
+        CAST,
     ),
     "positives at the threshold": (
         "symsol_annot/bench/scorers.py",

@@ -63,7 +63,8 @@ class LabelRenderer:
         self.versions = {"renderer": "labels"}
 
     def render(self, R_m2c):
-        return View(np.zeros((SIZE, SIZE, 3), dtype=np.uint8), np.zeros((SIZE, SIZE), dtype=np.uint8))
+        pixels = float(self.marking_pixels(R_m2c[None])[0])
+        return View(np.zeros((SIZE, SIZE, 3), dtype=np.uint8), np.zeros((SIZE, SIZE), dtype=np.uint8), pixels)
 
     def marking_pixels(self, R_m2c):
         if self._normal is None:

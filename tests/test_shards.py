@@ -49,6 +49,7 @@ def records(annotated=True):
             view=View(
                 rng.integers(256, size=(HEIGHT, WIDTH, 3), dtype=np.uint8),
                 rng.integers(3, size=(HEIGHT, WIDTH), dtype=np.uint8),
+                0.0,
             ),
             R_m2c=rng.standard_normal((3, 3)),
             marking_pixels=float(np.float32(rng.random())),
@@ -163,6 +164,31 @@ def test_shard_that_lacks_images_is_not_finished():
     with pytest.raises(ValueError, match=f"made for {COUNT} images and holds 1"):
         writer.finish(NOTES)
     writer.close()
+
+
+def test_image_of_another_size_or_type_is_refused():
+    good = records()[0]
+    writer = ShardWriter(HEADER, COUNT, GROUP, annotated=True)
+    for view in (
+        replace(good.view, rgb=good.view.rgb[:-1]),
+        replace(good.view, rgb=good.view.rgb.astype("f4")),
+        replace(good.view, segmentation=good.view.segmentation.T),
+    ):
+        with pytest.raises(ValueError, match=r"expected uint8 \(1, 12, 16"):
+            writer.add(replace(good, view=view))
+    writer.close()
+
+
+def test_shard_of_one_image_is_valid(tmp_path):
+    writer = ShardWriter(HEADER, 1, GROUP, annotated=True)
+    writer.add(records()[0])
+    made = writer.finish(NOTES)
+    writer.close()
+    path = tmp_path / "test-00000-of-00001.h5"
+    path.write_bytes(made.data)
+    with open_shard(path) as file:
+        assert content_sha256(file) == made.content_sha256
+        np.testing.assert_array_equal(file["image"][0], records()[0].view.rgb)
 
 
 def test_same_contents_give_the_same_bytes_at_another_time():
