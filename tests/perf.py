@@ -1,67 +1,119 @@
-"""Pairs a second of `render` beside the common recipe, in turn in one run: `make perf`.
+"""How fast, beside the common recipe, the exhaustive way and a folder of PNG files: `make perf`.
 
-python tests/perf.py [--object cylO] [--images 200] [--rounds 3] [--json FILE]
+python tests/perf.py [--quick] [--json FILE]
+
+Everything in one run on one machine, whatever is compared in turn; ratios of medians. Takes about 15 minutes, with
+--quick about 3. The recipe is described in perf_recipe.py.
 """
 
 import argparse
 import json
+import os
+import platform
 import statistics
+import subprocess
+import sys
 import tempfile
-import time
-from functools import partial
 from pathlib import Path
 
+import perf_annotation
+import perf_loading
+import perf_sets
 from perf_recipe import Recipe
 
-from symsol_annot.generate import SetPlan, generate
-from symsol_annot.objects import load_object
-from symsol_annot.render_process import RenderProcess
-from symsol_annot.scene import Camera, RenderSettings
-
+NAME = "cylO"
 PROCESSES = 2
 
 
 def main():
-    """Measure, print a table, and keep it as JSON."""
+    """Measure, print a table, and keep everything as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--object", default="cylO")
-    parser.add_argument("--images", type=int, default=200)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="fewer images and rounds")
+    parser.add_argument("--json", type=Path, default=Path("build/perf.json"))
     arguments = parser.parse_args()
-    rates = measure(arguments.object, arguments.images, arguments.rounds)
-    medians = {kind: statistics.median(values) for kind, values in rates.items()}
-    recipe = max(medians["recipe, 2 processes"], medians["recipe, 2 threads"])
-    for kind, rate in medians.items():
-        print(f"{kind:22} {rate:7.2f} pairs/s   {rate / recipe:5.1f} x the recipe   rounds: {rates[kind]}")
-    if arguments.json:
-        arguments.json.write_text(json.dumps({**vars(arguments), "json": None, "pairs_per_second": rates}, indent=1))
+    found = {"machine": machine(), **measure(quick=arguments.quick)}
+    arguments.json.parent.mkdir(exist_ok=True)
+    arguments.json.write_text(json.dumps(found, indent=1) + "\n")
+    print("\n".join(table(found)))
+    print(f"\nAll figures: {arguments.json}")
 
 
-def measure(name, images, rounds):
-    """Return pairs a second by kind, one a round; all start-up is left out."""
-    rates = {kind: [] for kind in ("no sets", "all sets", "recipe, 2 processes", "recipe, 2 threads")}
+def machine():
+    """Say what this was measured on."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
+    model = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.processor())
+    return {"processor": model, "cores": len(os.sched_getaffinity(0)), "python": platform.python_version()}
+
+
+def measure(*, quick):
+    """Take all measurements; see docs/performance.md for what each means."""
+    images, rounds, views, large = (40, 1, 4, 200) if quick else (200, 5, 30, 5000)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        with Recipe(name, PROCESSES, 1, folder) as processes, Recipe(name, 1, PROCESSES, folder) as threads:
-            for number in range(rounds):
-                rates["no sets"].append(ours(name, images, "none", folder / f"none-{number}"))
-                rates["all sets"].append(ours(name, images, "all", folder / f"all-{number}"))
-                for kind, recipe in (("recipe, 2 processes", processes), ("recipe, 2 threads", threads)):
-                    drawn = recipe.draw(images // 5)
-                    rates[kind].append(round(drawn["frames"] / drawn["wall"], 2))
+        found = {
+            "pairs": pairs(folder, images, rounds),
+            "stages_ms": {name: stages(name, images // 4) for name in ("cylO", "tetX")},
+            "annotation": {name: perf_annotation.measure(name, views) for name in ("cylO", "tetX")},
+            "growth": growth(folder, images, rounds, large),
+        }
+        found["loading"] = perf_loading.measure(folder / "large", rounds=2 * rounds + 1)
+    return found
+
+
+def pairs(folder, images, rounds):
+    """Return pairs a second by kind, one a round, all start-up left out."""
+    rates = {kind: [] for kind in ("all sets", "no sets", "recipe, 2 processes", "recipe, 2 threads")}
+    with Recipe(NAME, PROCESSES, 1, folder) as processes, Recipe(NAME, 1, PROCESSES, folder) as threads:
+        for _ in range(rounds):
+            rates["all sets"].append(perf_sets.make(NAME, images, PROCESSES, "all")["pairs_per_second"])
+            rates["no sets"].append(perf_sets.make(NAME, images, PROCESSES, "none")["pairs_per_second"])
+            for kind, recipe in (("recipe, 2 processes", processes), ("recipe, 2 threads", threads)):
+                drawn = recipe.draw(max(images // 5, 2 * PROCESSES))
+                rates[kind].append(round(drawn["frames"] / drawn["wall"], 2))
     return rates
 
 
-def ours(name, images, annotate, folder):
-    """Return pairs a second from when both workers have drawn to the end."""
-    spec, camera, settings = load_object(name), Camera.filling(224), RenderSettings()
-    plan = SetPlan(spec, {"test": images}, 0, camera, settings, annotate)
-    done = []
-    open_renderer = partial(RenderProcess, spec, camera, settings)
-    generate(plan, folder, open_renderer, PROCESSES, lambda: done.append(time.perf_counter()))
-    first = 2 * PROCESSES
-    return round((images - first) / (done[-1] - done[first - 1]), 2)
+def stages(name, views):
+    """Return the median ms of each stage of a view, measured inside Blender's process."""
+    script = Path(__file__).parent / "perf_stages.py"
+    command = [sys.executable, str(script), name, str(views)]
+    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+def growth(folder, images, rounds, large):
+    """Return what sets of 1 and 2 processes make, in turn, and of 500 and of more images, with their memory."""
+    runs = {f"{processes} processes": [] for processes in (1, 2)}
+    for _ in range(rounds):
+        for processes in (1, 2):
+            runs[f"{processes} processes"].append(perf_sets.make(NAME, images, processes, "all"))
+    for count in (min(500, large), large):
+        target = folder / "large" if count == large else None
+        runs[f"{count} images"] = [perf_sets.make(NAME, count, PROCESSES, "all", target)]
+    return runs
+
+
+def table(found):
+    """Return the lines of a Markdown table."""
+    rates = {kind: statistics.median(values) for kind, values in found["pairs"].items()}
+    recipe = max(rate for kind, rate in rates.items() if kind.startswith("recipe"))
+    lines = ["", "| pairs a second, cylO, 2 cores | | times the recipe |", "|---|---|---|"]
+    lines += [f"| {kind} | {rate:.1f} | {rate / recipe:.1f} |" for kind, rate in rates.items()]
+    lines += ["", "| hidden view's set | exhaustive | geometry | times faster |", "|---|---|---|---|"]
+    for name, row in found["annotation"].items():
+        exhaustive, geometry = row["exhaustive_ms"], row["geometry_ms"]
+        lines.append(f"| {name} | {exhaustive:.0f} ms | {geometry:.1f} ms | {row['times_faster']:.0f} |")
+    lines += ["", "| loading a sample | ms | times faster than PNG |", "|---|---|---|"]
+    for way, ms in found["loading"]["ms_a_sample"].items():
+        lines.append(f"| {way} | {ms:.3f} | {found['loading']['times_faster_than_png'][way]:.1f} |")
+    lines += ["", "| growth | pairs a second | peak MiB: parent, Blender |", "|---|---|---|"]
+    for kind, runs in found["growth"].items():
+        rate = statistics.median(run["pairs_per_second"] for run in runs)
+        peaks = (max(run[key] for run in runs) for key in ("parent_mib", "blender_mib"))
+        lines.append(f"| {kind} | {rate:.1f} | {', '.join(map(str, peaks))} |")
+    for name, stages_ms in found["stages_ms"].items():
+        lines += ["", f"| stage of a view, {name} | ms |", "|---|---|"]
+        lines += [f"| {stage} | {ms:.2f} |" for stage, ms in stages_ms.items()]
+    return lines
 
 
 if __name__ == "__main__":
