@@ -40,7 +40,7 @@ class BlenderRenderer:
         self._frame = _FrameFile()
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self._scene = bpy.context.scene
-        self._light = CornerLight(mesh, settings)
+        self._light = CornerLight(mesh, self._lattice, settings)
         self._object = _add_object(self._scene, mesh)
         self._camera_data = _add_camera(self._scene, camera)
         _set_up_output(self._scene, self._frame.path)

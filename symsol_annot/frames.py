@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from symsol_annot.errors import RenderError, SettingsError
 from symsol_annot.mesh import Mesh
-from symsol_annot.scene import BACKGROUND, BODY, MARKING, RenderSettings, View
+from symsol_annot.scene import BACKGROUND, BODY, MARKING, Camera, RenderSettings, View
 from symsol_annot.so3 import Rotations
 
 Bytes = npt.NDArray[np.uint8]
@@ -16,21 +16,37 @@ Bytes = npt.NDArray[np.uint8]
 _NO_ID = 255
 _SHADES = 4096  # more than 8 bits can tell apart
 _ROUNDING = 1  # levels, by float32
+_THIN = 0.25  # samples: of what is thicker, the samples beside it are at most a fortieth of its height away
+_BEYOND = 0.025  # light by which such a sample may be darker or brighter than the corners
 
 
 class CornerLight:
-    """The colours that the camera's light gives the corners of a mesh; an engine interpolates them."""
+    """The colours that the camera's light gives the corners of a mesh; an engine interpolates them.
 
-    def __init__(self, mesh: Mesh, settings: RenderSettings) -> None:
-        self._settings, self._normals = settings, mesh.corner_normals
+    A rasteriser takes a triangle's colour at samples that lie a little beside it, where its moved corners reach. On a
+    triangle that is thinner than that, seen edge-on, such a colour could be any; so thin triangles have a single one.
+    """
+
+    def __init__(self, mesh: Mesh, lattice: Camera, settings: RenderSettings) -> None:
+        self._mesh, self._lattice, self._settings = mesh, lattice, settings
         self._colours = np.where(mesh.is_marking[:, None], settings.marking_colour, settings.body_colour)[:, None]
 
     def colours(self, R_m2c: Rotations) -> npt.NDArray[np.float32]:
         """Return linear colours (T, 3, 4) with an alpha of 1: colour x (ambient + diffuse x max(0, -n_z))."""
-        light = self._settings.ambient + self._settings.diffuse * np.maximum(0.0, -(self._normals @ R_m2c[2]))
-        colours = np.ones((*light.shape, 4), np.float32)
+        cosine = np.maximum(0.0, -(self._mesh.corner_normals @ R_m2c[2]))
+        is_thin = self._heights(R_m2c) < _THIN
+        cosine[is_thin] = cosine[is_thin].mean(axis=1, keepdims=True)
+        colours = np.ones((*cosine.shape, 4), np.float32)
+        light = self._settings.ambient + self._settings.diffuse * cosine
         colours[..., :3] = self._colours * light[..., None]
         return colours
+
+    def _heights(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
+        """Return how far each triangle (T,) reaches from its longest side, in samples of the lattice."""
+        corners = self._lattice.project(self._mesh.vertices @ R_m2c.T)[self._mesh.triangles]
+        sides = np.roll(corners, -1, axis=1) - corners
+        doubled_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+        return np.asarray(doubled_area / np.sqrt((sides**2).sum(axis=2).max(axis=1)))
 
 
 class SampleIds:
@@ -42,7 +58,7 @@ class SampleIds:
 
     def __init__(self, settings: RenderSettings) -> None:
         self._id_of = np.full(1 << 24, _NO_ID, np.uint8)
-        light = settings.ambient + settings.diffuse * np.linspace(0.0, 1.0, _SHADES)[:, None]
+        light = settings.ambient + settings.diffuse * np.linspace(-_BEYOND, 1.0 + _BEYOND, _SHADES)[:, None]
         self.background = srgb_bytes(np.array(settings.background_colour))
         colours = {BACKGROUND: self.background[None]}
         colours |= {

@@ -47,16 +47,23 @@ def machine():
 
 def measure(*, quick):
     """Take all measurements; see docs/performance.md for what each means."""
-    images, rounds, views, large = (40, 1, 4, 200) if quick else (200, 5, 30, 5000)
+    images, rounds, views, counts = (40, 1, 4, (50, 200)) if quick else (200, 5, 30, (500, 5000))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         found = {
             "pairs": pairs(folder, images, rounds),
             "stages_ms": {name: stages(name, images // 4) for name in ("cylO", "tetX")},
             "annotation": {name: perf_annotation.measure(name, views) for name in ("cylO", "tetX")},
-            "growth": growth(folder, images, rounds, large),
+            "growth": growth(folder, images, rounds, counts),
         }
-        found["loading"] = perf_loading.measure(folder / "large", rounds=2 * rounds + 1)
+        found["loading"] = perf_loading.measure(folder / str(counts[0]), rounds=2 * rounds + 1)
+        found["loading_growth"] = {
+            f"{count} images, {processes} process{'es' * (processes > 1)}": [
+                perf_loading.samples_per_second(folder / str(count), processes) for _ in range(rounds)
+            ]
+            for count in counts
+            for processes in (1, PROCESSES)
+        }
     return found
 
 
@@ -80,15 +87,14 @@ def stages(name, views):
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
-def growth(folder, images, rounds, large):
-    """Return what sets of 1 and 2 processes make, in turn, and of 500 and of more images, with their memory."""
-    runs = {f"{processes} processes": [] for processes in (1, 2)}
+def growth(folder, images, rounds, counts):
+    """Return what 1 and 2 processes make, in turn, and sets of few and of many images, with their memory."""
+    runs = {f"{processes} process{'es' * (processes > 1)}": [] for processes in (1, PROCESSES)}
     for _ in range(rounds):
-        for processes in (1, 2):
-            runs[f"{processes} processes"].append(perf_sets.make(NAME, images, processes, "all"))
-    for count in (min(500, large), large):
-        target = folder / "large" if count == large else None
-        runs[f"{count} images"] = [perf_sets.make(NAME, count, PROCESSES, "all", target)]
+        for processes, kind in zip((1, PROCESSES), runs, strict=True):
+            runs[kind].append(perf_sets.make(NAME, images, processes, "all"))
+    for count in counts:
+        runs[f"{count} images"] = [perf_sets.make(NAME, count, PROCESSES, "all", folder / str(count))]
     return runs
 
 
@@ -110,6 +116,8 @@ def table(found):
         rate = statistics.median(run["pairs_per_second"] for run in runs)
         peaks = (max(run[key] for run in runs) for key in ("parent_mib", "blender_mib"))
         lines.append(f"| {kind} | {rate:.1f} | {', '.join(map(str, peaks))} |")
+    lines += ["", "| loading by load() | samples a second |", "|---|---|"]
+    lines += [f"| {kind} | {statistics.median(rates):.0f} |" for kind, rates in found["loading_growth"].items()]
     for name, stages_ms in found["stages_ms"].items():
         lines += ["", f"| stage of a view, {name} | ms |", "|---|---|"]
         lines += [f"| {stage} | {ms:.2f} |" for stage, ms in stages_ms.items()]

@@ -9,6 +9,7 @@ taken within its round.
 
 import argparse
 import json
+import multiprocessing
 import os
 import statistics
 import tempfile
@@ -23,6 +24,7 @@ from symsol_annot import load
 from symsol_annot.chunks import ByteFile, Rows
 
 PNG = "PNG folder, Pillow"
+_MEETING = None  # where a process waits for the others
 
 
 def measure(folder, rounds=9, split="test"):
@@ -59,6 +61,34 @@ def measure(folder, rounds=9, split="test"):
         "ms_a_sample": {way: statistics.median(ms) for way, ms in times.items()},
         "times_faster_than_png": {way: _times_faster(times, way) for way in readers},
     }
+
+
+def samples_per_second(folder, processes, split="test"):
+    """Return at what rate processes together `load()` a split once, in a shuffled order of which each has its share."""
+    context = multiprocessing.get_context("spawn")
+    meeting = context.Barrier(processes)
+    with context.Pool(processes, _meet_at, (meeting,)) as pool:
+        spans = pool.starmap(_read_share, [(folder, split, k, processes) for k in range(processes)], chunksize=1)
+    start, end = min(start for start, _, _ in spans), max(end for _, end, _ in spans)
+    return round(sum(read for _, _, read in spans) / (end - start))
+
+
+def _meet_at(meeting):
+    global _MEETING  # noqa: PLW0603 - multiprocessing has no other place for it
+    _MEETING = meeting
+
+
+def _read_share(folder, split, number, of):
+    """Read a share of the split twice, the second time with the others; return start, end and its size."""
+    with load(folder, split) as dataset:
+        share = np.random.default_rng(0).permutation(len(dataset))[number::of].tolist()
+        for index in share:
+            dataset[index]
+        _MEETING.wait()
+        start = time.monotonic()
+        for index in share:
+            dataset[index]
+        return start, time.monotonic(), len(share)
 
 
 def _ms_a_sample(read, order):

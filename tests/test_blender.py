@@ -124,6 +124,13 @@ def test_faces_are_lit_by_the_cosine_to_the_camera_axis(engine):
                     assert np.abs(found - srgb).max() <= 1
 
 
+def test_triangles_seen_edge_on_keep_their_colour():
+    """One of this image's candidates draws a sample of a triangle so thin that a shade beside it could be any."""
+    candidates = label_rotation(0, "cylO", "train", 2084) @ load_object("cylO").symmetry_group
+    with open_renderer("cylO") as renderer:
+        assert np.count_nonzero(renderer.marking_pixels(candidates)) > 300  # and no colour was refused
+
+
 def test_background_is_white_and_body_never_reddish():
     with open_renderer("cyl") as renderer:
         view = renderer.render(rotations(1, seed=4)[0])

@@ -8,7 +8,7 @@ import pytest
 from symsol_annot.errors import RenderError, SettingsError
 from symsol_annot.frames import CornerLight, SampleIds, pixel_averages, srgb_bytes, view_of
 from symsol_annot.objects import load_object
-from symsol_annot.scene import MARKING, RenderSettings
+from symsol_annot.scene import MARKING, Camera, RenderSettings
 from symsol_annot.so3 import uniform_rotations
 
 SETTINGS = RenderSettings()
@@ -18,13 +18,35 @@ SETTINGS = RenderSettings()
 def test_corners_are_lit_by_the_cosine_to_the_camera_axis(name):
     mesh = load_object(name).mesh
     R = uniform_rotations(1, np.random.default_rng(4))[0]
-    colours = CornerLight(mesh, SETTINGS).colours(R)
-    for triangle in range(0, len(mesh.triangles), 7):
+    colours = CornerLight(mesh, Camera.filling(224).lattice(2), SETTINGS).colours(R)
+    varying = np.ptp(colours, axis=1).any(axis=1) | (mesh.corner_normals == mesh.corner_normals[:, :1]).all(axis=(1, 2))
+    assert varying.mean() > 0.5  # others look away, or are thin
+    for triangle in np.flatnonzero(varying)[::7]:
         for corner in range(3):
             towards_camera = -(R @ mesh.corner_normals[triangle, corner])[2]
             colour = SETTINGS.marking_colour if mesh.is_marking[triangle] else SETTINGS.body_colour
             light = SETTINGS.ambient + SETTINGS.diffuse * max(0.0, towards_camera)
             assert np.allclose(colours[triangle, corner], [*(light * c for c in colour), 1.0], atol=1e-6)
+
+
+def test_a_triangle_thinner_than_a_quarter_of_a_sample_has_one_colour():
+    mesh, lattice = load_object("cyl").mesh, Camera.filling(224).lattice(2)
+    R = uniform_rotations(1, np.random.default_rng(4))[0]
+    points = lattice.project(mesh.vertices @ R.T)[mesh.triangles]
+    colours = CornerLight(mesh, lattice, SETTINGS).colours(R)
+    is_smooth = (mesh.corner_normals != mesh.corner_normals[:, :1]).any(axis=(1, 2))
+    thin = 0
+    for triangle in np.flatnonzero(is_smooth):
+        (a, b, c) = points[triangle]
+        longest = max(np.linalg.norm(b - a), np.linalg.norm(c - b), np.linalg.norm(a - c))
+        height = abs(np.linalg.det([b - a, c - a])) / longest
+        is_one_colour = not np.ptp(colours[triangle], axis=0).any()
+        if height < 0.25:
+            assert is_one_colour
+            thin += 1
+        elif (R @ mesh.corner_normals[triangle].T)[2].max() < 0:  # lit at all corners
+            assert not is_one_colour
+    assert thin > 4
 
 
 def shade(colour, light):
