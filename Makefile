@@ -32,7 +32,7 @@ lint: $(INSTALLED)  ## the quick checks
 soak: $(INSTALLED)  ## long proofs on real renders
 	$(BIN)/python tests/soak.py
 
-perf: $(INSTALLED)  ## pairs a second, beside the common recipe
+perf: $(INSTALLED)  ## speed and memory, beside the common recipe, drawing every candidate, and PNG files
 	$(BIN)/python tests/perf.py
 
 fuzz: $(INSTALLED)  ## 20,000 damaged predictions files

@@ -1,5 +1,6 @@
-"""What several commands share: the object parameter, the folder argument, the progress bar."""
+"""What several commands share: the object parameter, the folder argument, the progress bar, the count of cores."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -40,3 +41,8 @@ DATA = click.option(
 def progress_bar(total: int | None, unit: str) -> "tqdm[None]":
     """Return a bar with rate and time left; quiet where standard error is no terminal."""
     return tqdm(total=total, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,12 +1,11 @@
 """`symsol-annot render`: make an object's image set."""
 
-import os
 from functools import partial
 from pathlib import Path
 from shlex import quote
 
 import click
-from symsol_annot_cli.parameters import ObjectType, progress_bar
+from symsol_annot_cli.parameters import ObjectType, cores, progress_bar
 
 from symsol_annot.generate import ANNOTATE_CHOICES, MAX_SEED, SetPlan, generate
 from symsol_annot.manifest import SPLITS, Manifest
@@ -69,7 +68,7 @@ def render(
                 plan,
                 folder,
                 partial(RenderProcess, spec, camera, settings),
-                workers or _cores(),
+                workers or cores(),
                 bar.update,
                 exhaustive=annotate_method == "exhaustive",
             )
@@ -78,10 +77,6 @@ def render(
             click.echo(f"Finished shards in {folder} are kept; the same command goes on.", err=True)
             raise
     _summarise(folder, manifest)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _summarise(folder: Path, manifest: Manifest) -> None:

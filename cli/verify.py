@@ -1,18 +1,20 @@
 """`symsol-annot verify`: check a set, and draw images of it again."""
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
 import numpy as np
-from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, progress_bar
+from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, cores, progress_bar
 
 from symsol_annot import dataset
 from symsol_annot.audit import AuditReport, audit
 from symsol_annot.errors import DataError, UnknownObjectError
+from symsol_annot.generate import SetPlan, damaged_shards, generate
 from symsol_annot.manifest import Manifest, read_manifest
 from symsol_annot.objects import ObjectSpec, load_object
-from symsol_annot.render_process import RenderProcess
+from symsol_annot.render_process import RenderProcess, check_blender_installed
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.verify import verify as find_faults
 
@@ -20,20 +22,24 @@ from symsol_annot.verify import verify as find_faults
 @click.command()
 @SET_FOLDER
 @click.option("--audit", "audited", metavar="K", type=click.IntRange(min=1), help="Draw K images of each set again.")
+@click.option("--repair", is_flag=True, help="First make damaged, missing and unfinished shards again.")
 @click.option(
-    "--object", "spec", type=ObjectType(), help="For --audit, where the set's object is a folder of your own."
+    "--object", "spec", type=ObjectType(), help="To draw with, where the set's object is a folder of your own."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the audit's choice.")
-def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int) -> None:
+def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int, *, repair: bool) -> None:
     """Check that a set is whole and consistent.
 
     DATA is a set like data/cylO, or a folder of sets like data. With --audit, images and candidate rotations
-    are drawn again: members of a symmetry set must draw the image, rejected candidates must not.
+    are drawn again: members of a symmetry set must draw the image, rejected candidates must not. With --repair,
+    shards that are not as the manifest says are made again; they must then have its checksums.
     """
     faults = []
     sets = _sets_in(folder)
     for set_folder in sets:
         try:
+            if repair:
+                _repair_set(set_folder, spec)
             found = _verify_set(set_folder)
             if audited and not found:
                 found = _audit_set(set_folder, audited, spec, np.random.default_rng(seed))
@@ -68,6 +74,22 @@ def _verify_set(folder: Path) -> list[str]:
     return faults
 
 
+def _repair_set(folder: Path, given: ObjectSpec | None) -> None:
+    manifest = read_manifest(folder)
+    damaged = {entry.file for entry in damaged_shards(folder, manifest)}
+    todo = [entry.file for entry in manifest.shards if not entry.is_finished or entry.file in damaged]
+    if not todo:
+        click.echo(f"{folder}: nothing to repair")
+        return
+    check_blender_installed()
+    spec = _object_of(folder, manifest, given)
+    with progress_bar(sum(entry.images for entry in manifest.shards), "image") as bar:
+        generate(
+            SetPlan.of(manifest, spec), folder, partial(_renderer, manifest, spec), cores(), bar.update, repair=True
+        )
+    click.echo(f"{folder}: made again: {', '.join(todo)}")
+
+
 def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.random.Generator) -> list[str]:
     manifest = read_manifest(folder)
     split = next(
@@ -75,6 +97,14 @@ def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.rando
     )
     if split is None:
         raise DataError(f"{folder}: has no split with symmetry sets, so there is nothing to audit")
+    spec = _object_of(folder, manifest, given)
+    with _renderer(manifest, spec) as renderer, progress_bar(count, "image") as bar:
+        report = audit(dataset.load(folder, split), spec, renderer, count, rng, bar.update)
+    _print_report(folder, report)
+    return report.faults
+
+
+def _object_of(folder: Path, manifest: Manifest, given: ObjectSpec | None) -> ObjectSpec:
     name = manifest.recipe["object"]
     try:
         spec = given if given and given.name == name else load_object(name)
@@ -85,10 +115,7 @@ def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.rando
             f"{folder}: was made from another {spec.name} than the one here (their digests differ); "
             "give the object's folder with --object"
         )
-    with _renderer(manifest, spec) as renderer, progress_bar(count, "image") as bar:
-        report = audit(dataset.load(folder, split), spec, renderer, count, rng, bar.update)
-    _print_report(folder, report)
-    return report.faults
+    return spec
 
 
 def _renderer(manifest: Manifest, spec: ObjectSpec) -> RenderProcess:

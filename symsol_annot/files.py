@@ -63,14 +63,29 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
+        holder = _lock_holder(descriptor)
         os.close(descriptor)
         raise OutputError(
-            f"{folder}: another process is making this set right now; wait for it, or choose another folder with --out"
+            f"{folder}: another process{holder} is making this set right now; wait for it, or choose another folder "
+            "with --out"
         ) from None
     try:
         yield
     finally:
         os.close(descriptor)
+
+
+def _lock_holder(descriptor: int) -> str:
+    """Say which process on this machine has locked an open folder, where the system tells (Linux)."""
+    status = os.fstat(descriptor)
+    wanted = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path("/proc/locks").read_text().splitlines():
+            words = line.split()  # number, kind, mode, access, process, device:device:inode, start, end
+            if words[1] == "FLOCK" and words[5] == wanted and int(words[4]) > 0:
+                command = Path(f"/proc/{words[4]}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                return f" ({words[4]}: {command.strip()[:120]})"
+    return ""
 
 
 def make_folder(path: Path) -> None:

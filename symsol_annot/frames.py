@@ -84,7 +84,8 @@ class SampleIds:
         if ids.max(initial=0) == _NO_ID:
             stray = np.unique(samples[ids == _NO_ID], axis=0)
             raise RenderError(
-                f"a frame holds colours that are neither background, body nor marking: {stray[:8].tolist()}"
+                f"Blender drew colours that are neither background, body nor marking: {stray[:8].tolist()}, so it "
+                "has no segmentation. Finished shards are kept. Please report this, with the command and its versions"
             )
         return ids
 

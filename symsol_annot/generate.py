@@ -68,6 +68,14 @@ class SetPlan:
         if not 0 <= self.seed <= MAX_SEED:
             raise SettingsError(f"seed: expected 0 to {MAX_SEED}, found {self.seed}")
 
+    @classmethod
+    def of(cls, manifest: Manifest, spec: ObjectSpec) -> "SetPlan":
+        """Return the plan that a set was made by; whether the object is the right one is for `generate` to find."""
+        recipe = manifest.recipe
+        images = {split: manifest.images(split) for split in SPLITS}
+        camera, settings = Camera(**recipe["camera"]), RenderSettings.from_dict(recipe["render"])
+        return cls(spec, images, recipe["seed"], camera, settings, recipe["annotate"])
+
     def manifest(self) -> Manifest:
         """Return the manifest of the set before its first shard is written."""
         recipe = {
@@ -108,6 +116,7 @@ def generate(
     on_image: OnImage = lambda: None,
     *,
     exhaustive: bool = False,
+    repair: bool = False,
 ) -> Manifest:
     """Make the shards of a plan that the folder does not hold yet, and return the finished manifest.
 
@@ -118,21 +127,33 @@ def generate(
         workers: how many shards are made at the same time.
         on_image: called after each image, also for those of shards that are there already.
         exhaustive: draw every candidate, also where geometry decides; the bytes are the same.
+        repair: make damaged or missing shards again that were finished once, too.
 
     Raises:
         DifferentSetError: the folder holds another set; nothing was touched.
-        DataError: a finished shard in the folder is damaged.
+        DataError: a finished shard in the folder is damaged, or made again it is not what the manifest says; that shard
+            was not touched.
         OutputError: the folder cannot be written to.
         RenderError: a renderer failed; finished shards are kept.
     """
     manifest = _open_set(plan, folder)
-    for entry in manifest.shards:
-        if entry.is_finished:
-            for _ in range(entry.images):
-                on_image()
+    damaged = damaged_shards(folder, manifest)
+    if damaged and not repair:
+        raise DataError(
+            f"{folder}: finished shards are missing or damaged: {', '.join(entry.file for entry in damaged)}. "
+            "`symsol-annot verify` says more, and with --repair it makes them again"
+        )
+    todo = [entry for entry in manifest.shards if not entry.is_finished or entry in damaged]
+    for _ in range(sum(entry.images for entry in manifest.shards) - sum(entry.images for entry in todo)):
+        on_image()
     visibility = None if exhaustive else visibility_of(plan)
-    _Run(plan, folder, open_renderer, on_image, manifest, visibility).carry_out(workers)
+    _Run(plan, folder, open_renderer, on_image, manifest, todo, visibility).carry_out(workers)
     return read_manifest(folder)
+
+
+def damaged_shards(folder: Path, manifest: Manifest) -> list[ShardEntry]:
+    """Return the shards that were finished once and are not there, or not as they were."""
+    return [entry for entry in manifest.shards if entry.is_finished and not _is_whole(folder, entry)]
 
 
 def visibility_of(plan: SetPlan) -> MarkingVisibility | None:
@@ -154,12 +175,6 @@ def _open_set(plan: SetPlan, folder: Path) -> Manifest:
         differences = planned.differences(manifest)
         if differences:
             raise DifferentSetError(str(folder), differences)
-        damaged = [entry.file for entry in manifest.shards if entry.is_finished and not _is_whole(folder, entry)]
-        if damaged:
-            raise DataError(
-                f"{folder}: finished shards are missing or damaged: {', '.join(damaged)}. "
-                "`symsol-annot verify` says more; delete the folder, or fetch those shards again"
-            )
         return manifest
     if foreign:
         raise DifferentSetError(str(folder), [f"it holds {foreign[0]} without a {MANIFEST_NAME}"])
@@ -176,7 +191,7 @@ def _is_whole(folder: Path, entry: ShardEntry) -> bool:
 def _check_same_software(folder: Path, manifest: Manifest, versions: dict[str, str]) -> None:
     """Refuse to finish a set with other software than it was begun with: its bytes would not be reproducible."""
     for entry in manifest.shards:
-        if entry.is_finished:
+        if entry.is_finished and _is_whole(folder, entry):
             there = read_versions(folder / entry.file)
             names = sorted(name for name in {*there, *versions} if there.get(name) != versions.get(name))
             if names:
@@ -195,6 +210,7 @@ class _Run:
         open_renderer: OpenRenderer,
         on_image: OnImage,
         manifest: Manifest,
+        todo: list[ShardEntry],
         visibility: MarkingVisibility | None,
     ) -> None:
         self._plan, self._folder, self._open_renderer, self._on_image = plan, folder, open_renderer, on_image
@@ -204,18 +220,18 @@ class _Run:
         self._is_prepared = False
         self._renderers: list[Renderer] = []
         self._queue: SimpleQueue[ShardEntry] = SimpleQueue()
-        self._unfinished = [entry for entry in manifest.shards if not entry.is_finished]
-        for entry in self._unfinished:
+        self._todo = todo
+        for entry in todo:
             self._queue.put(entry)
 
     def carry_out(self, workers: int) -> None:
-        """Make all unfinished shards; on an error or Ctrl-C, stop at once and keep the finished ones."""
-        threads = max(1, min(workers, len(self._unfinished)))
-        if not self._unfinished:
+        """Make all shards to do; on an error or Ctrl-C, stop at once and keep the finished ones."""
+        threads = max(1, min(workers, len(self._todo)))
+        if not self._todo:
             return
         with ExitStack() as self._held, ThreadPoolExecutor(threads, thread_name_prefix="shard") as pool:
-            futures = [pool.submit(self._work) for _ in range(threads)]
             try:
+                futures = [pool.submit(self._work) for _ in range(threads)]
                 done, _ = wait(futures, return_when=FIRST_EXCEPTION)
             except BaseException:
                 self._stop()
@@ -265,8 +281,13 @@ class _Run:
             self._on_image()
 
     def _keep(self, entry: ShardEntry, shard: ShardFile) -> None:
-        write_atomically(self._folder / entry.file, shard.data)
         sha256 = hashlib.sha256(shard.data).hexdigest()
+        if entry.is_finished and sha256 != entry.sha256:
+            raise DataError(
+                f"{self._folder / entry.file}: made again, its SHA-256 is {sha256}, not {entry.sha256} as the manifest "
+                "says: other software made the set. Fetch the shard again, or render the set anew"
+            )
+        write_atomically(self._folder / entry.file, shard.data)
         with self._lock:
             self._manifest = self._manifest.with_finished(
                 replace(entry, bytes=len(shard.data), sha256=sha256, content_sha256=shard.content_sha256)

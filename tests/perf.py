@@ -2,8 +2,8 @@
 
 python tests/perf.py [--quick] [--json FILE]
 
-Everything in one run on one machine, whatever is compared in turn; ratios of medians. Takes about 15 minutes, with
---quick about 3. The recipe is described in perf_recipe.py.
+Everything in one run on one machine, whatever is compared in turn; ratios of medians. Takes about 10 minutes, with
+--quick about 2. The recipe is described in perf_recipe.py.
 """
 
 import argparse

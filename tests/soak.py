@@ -23,7 +23,7 @@ from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.statistics import split_statistics
 from symsol_annot.verify import verify
 
-MAX_FRAY_DEG = 6  # how far from an arc's end a sliver of the disc may fall between the samples
+MAX_FRAY_DEG = 10  # how far from an arc's end a sliver of the disc may miss the samples, or one sample lie on the rim
 
 
 def main():

@@ -298,6 +298,25 @@ def test_verify_names_the_damaged_shards(tetX_set):
 
 
 @pytest.mark.blender
+def test_verify_repairs_a_damaged_and_a_missing_shard_to_the_same_bytes(rendered, tmp_path):
+    folder = Path(shutil.copytree(rendered[1], tmp_path / "tetX"))
+    first, second, *_ = sorted(folder.glob("*.h5"))
+    first.write_bytes(b"damaged")
+    second.unlink()
+    done = symsol("verify", folder, "--repair")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"made again: {first.name}, {second.name}" in done.stdout
+    assert "whole and consistent" in done.stdout
+    bytes_of = [{path.name: path.read_bytes() for path in where.iterdir()} for where in (folder, rendered[1])]
+    assert bytes_of[0] == bytes_of[1]
+
+
+def test_a_whole_set_needs_no_repair_and_no_blender(symsol_here, tetX_set):
+    done = symsol_here("verify", tetX_set, "--repair")
+    assert (done.returncode, "nothing to repair" in done.stdout) == (0, True)
+
+
+@pytest.mark.blender
 def test_an_audit_finds_a_set_that_blender_drew_sound(rendered):
     done = symsol("verify", rendered[1], "--audit", "3")
     assert (done.returncode, done.stderr) == (0, "")
