@@ -1,4 +1,4 @@
-"""What several commands share: the object parameter, the folder argument, the progress bar, the count of cores."""
+"""What several commands share: the object parameter, the folder argument, what is said while it works."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 from tqdm import tqdm
 
-from symsol_annot.errors import UnknownObjectError
+from symsol_annot.errors import RendererCrashedError, UnknownObjectError
 from symsol_annot.objects import ObjectSpec, load_object
 
 
@@ -41,6 +41,18 @@ DATA = click.option(
 def progress_bar(total: int | None, unit: str) -> "tqdm[None]":
     """Return a bar with rate and time left; quiet where standard error is no terminal."""
     return tqdm(total=total, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)
+
+
+class Crashes:
+    """Says on standard error that a shard is begun again after a crash of Blender, and remembers which."""
+
+    def __init__(self) -> None:
+        self.shards: list[str] = []
+
+    def __call__(self, shard: str, error: RendererCrashedError) -> None:
+        """Take note of one."""
+        self.shards.append(shard)
+        tqdm.write(f"{shard}: {error}\nA new Blender begins the shard again.", file=sys.stderr)
 
 
 def cores() -> int:

@@ -5,7 +5,7 @@ from pathlib import Path
 from shlex import quote
 
 import click
-from symsol_annot_cli.parameters import ObjectType, cores, progress_bar
+from symsol_annot_cli.parameters import Crashes, ObjectType, cores, progress_bar
 
 from symsol_annot.generate import ANNOTATE_CHOICES, MAX_SEED, SetPlan, generate
 from symsol_annot.manifest import SPLITS, Manifest
@@ -60,7 +60,7 @@ def render(
     check_object(spec)
     camera, settings = Camera.filling(size), RenderSettings(engine)
     plan = SetPlan(spec, {"train": train, "test": test}, seed, camera, settings, annotate)
-    folder = out / spec.name
+    folder, begun_again = out / spec.name, Crashes()
     with progress_bar(train + test, "image") as bar:
         bar.set_description(spec.name)
         try:
@@ -71,15 +71,16 @@ def render(
                 workers or cores(),
                 bar.update,
                 exhaustive=annotate_method == "exhaustive",
+                on_crash=begun_again,
             )
         except KeyboardInterrupt:
             bar.close()
             click.echo(f"Finished shards in {folder} are kept; the same command goes on.", err=True)
             raise
-    _summarise(folder, manifest)
+    _summarise(folder, manifest, begun_again)
 
 
-def _summarise(folder: Path, manifest: Manifest) -> None:
+def _summarise(folder: Path, manifest: Manifest, begun_again: Crashes) -> None:
     click.echo(f"{folder}: {manifest.recipe['object']}, fingerprint {manifest.fingerprint}")
     for split in SPLITS:
         entries = manifest.of_split(split)
@@ -87,6 +88,8 @@ def _summarise(folder: Path, manifest: Manifest) -> None:
             mebibytes = sum(entry.bytes or 0 for entry in entries) / 2**20
             sets = "with symmetry sets" if manifest.is_annotated(split) else "without symmetry sets"
             click.echo(f"  {split}: {manifest.images(split)} images {sets}, {len(entries)} shards, {mebibytes:.1f} MiB")
+    if begun_again.shards:
+        click.echo(f"  begun again after a crash of Blender: {', '.join(begun_again.shards)}")
     split = "test" if manifest.images("test") else "train"
     path, code = quote(str(folder)), f"import symsol_annot; print(symsol_annot.load({str(folder)!r}, {split!r})[0])"
     click.echo(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 import numpy as np
-from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, cores, progress_bar
+from symsol_annot_cli.parameters import SET_FOLDER, Crashes, ObjectType, cores, progress_bar
 
 from symsol_annot import dataset
 from symsol_annot.audit import AuditReport, audit
@@ -84,9 +84,8 @@ def _repair_set(folder: Path, given: ObjectSpec | None) -> None:
     check_blender_installed()
     spec = _object_of(folder, manifest, given)
     with progress_bar(sum(entry.images for entry in manifest.shards), "image") as bar:
-        generate(
-            SetPlan.of(manifest, spec), folder, partial(_renderer, manifest, spec), cores(), bar.update, repair=True
-        )
+        plan, open_renderer = SetPlan.of(manifest, spec), partial(_renderer, manifest, spec)
+        generate(plan, folder, open_renderer, cores(), bar.update, repair=True, on_crash=Crashes())
     click.echo(f"{folder}: made again: {', '.join(todo)}")
 
 

@@ -6,10 +6,13 @@ same whatever the number of workers and the order they worked in.
 
 import hashlib
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import count
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -17,7 +20,7 @@ import numpy as np
 
 from symsol_annot import __version__
 from symsol_annot.annotate import annotate, is_shown, marking_pixels
-from symsol_annot.errors import DataError, DifferentSetError, SettingsError
+from symsol_annot.errors import DataError, DifferentSetError, RendererCrashedError, SettingsError
 from symsol_annot.files import file_sha256, locked, make_folder, output_errors, remove_partial_files, write_atomically
 from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest, write_manifest
 from symsol_annot.objects import ObjectSpec
@@ -32,9 +35,11 @@ MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
 _MAX_PIXELS_PER_SHARD = 2**25  # a shard is built in memory
 _SMALL_SET_SHARDS = 8  # a small set is still divided, so that several workers have work
 _MIN_IMAGES_PER_SHARD = 16
+MAX_CRASHES_PER_SHARD = 2
 
 OpenRenderer = Callable[[], Renderer]
 OnImage = Callable[[], object]
+OnCrash = Callable[[str, RendererCrashedError], object]
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,7 @@ class SetPlan:
 
     def __post_init__(self) -> None:
         """Refuse counts and choices that make no set."""
-        if any(count < 0 for count in self.images.values()) or not any(self.images.values()):
+        if any(number < 0 for number in self.images.values()) or not any(self.images.values()):
             raise SettingsError(f"images: expected counts of 0 or more that are not all 0, found {self.images}")
         if set(self.images) - set(SPLITS):
             raise SettingsError(f"splits: expected {', '.join(SPLITS)}, found {', '.join(self.images)}")
@@ -94,10 +99,10 @@ class SetPlan:
         fitting = max(1, _MAX_PIXELS_PER_SHARD // (self.camera.width * self.camera.height))
         per_shard = max(_MIN_IMAGES_PER_SHARD, -(-images // _SMALL_SET_SHARDS))
         per_shard = min(per_shard, MAX_IMAGES_PER_SHARD, fitting)
-        count = -(-images // per_shard)
-        for number in range(count):
+        shards = -(-images // per_shard)
+        for number in range(shards):
             first = number * per_shard
-            name = f"{split}-{number:05d}-of-{count:05d}.h5"
+            name = f"{split}-{number:05d}-of-{shards:05d}.h5"
             yield ShardEntry(name, split, first, min(per_shard, images - first))
 
 
@@ -117,6 +122,7 @@ def generate(
     *,
     exhaustive: bool = False,
     repair: bool = False,
+    on_crash: OnCrash = lambda *_: None,
 ) -> Manifest:
     """Make the shards of a plan that the folder does not hold yet, and return the finished manifest.
 
@@ -128,13 +134,14 @@ def generate(
         on_image: called after each image, also for those of shards that are there already.
         exhaustive: draw every candidate, also where geometry decides; the bytes are the same.
         repair: make damaged or missing shards again that were finished once, too.
+        on_crash: called when a renderer crashed and its shard is begun again with a new one: shard, error.
 
     Raises:
         DifferentSetError: the folder holds another set; nothing was touched.
         DataError: a finished shard in the folder is damaged, or made again it is not what the manifest says; that shard
             was not touched.
         OutputError: the folder cannot be written to.
-        RenderError: a renderer failed; finished shards are kept.
+        RenderError: a renderer failed, or crashed at one shard more than twice; finished shards are kept.
     """
     manifest = _open_set(plan, folder)
     damaged = damaged_shards(folder, manifest)
@@ -147,7 +154,7 @@ def generate(
     for _ in range(sum(entry.images for entry in manifest.shards) - sum(entry.images for entry in todo)):
         on_image()
     visibility = None if exhaustive else visibility_of(plan)
-    _Run(plan, folder, open_renderer, on_image, manifest, todo, visibility).carry_out(workers)
+    _Run(plan, folder, open_renderer, on_image, manifest, todo, visibility, on_crash).carry_out(workers)
     return read_manifest(folder)
 
 
@@ -212,12 +219,16 @@ class _Run:
         manifest: Manifest,
         todo: list[ShardEntry],
         visibility: MarkingVisibility | None,
+        on_crash: OnCrash,
     ) -> None:
-        self._plan, self._folder, self._open_renderer, self._on_image = plan, folder, open_renderer, on_image
+        self._plan, self._folder, self._open_renderer = plan, folder, open_renderer
+        self._on_image, self._on_crash = on_image, on_crash
         self._manifest, self._visibility = manifest, visibility
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._is_prepared = False
+        self._crashes: Counter[str] = Counter()  # by shard
+        self._counted: Counter[str] = Counter()  # images of a shard that `on_image` was called for
         self._renderers: list[Renderer] = []
         self._queue: SimpleQueue[ShardEntry] = SimpleQueue()
         self._todo = todo
@@ -248,19 +259,39 @@ class _Run:
                 renderer.close()
 
     def _work(self) -> None:
-        with self._open_renderer() as renderer:
-            with self._lock:
-                self._renderers.append(renderer)
-            versions = software_versions(renderer)  # waits for it to start
-            with self._lock:
-                self._prepare_folder(versions)
-            while not self._stopping.is_set():
-                try:
-                    entry = self._queue.get_nowait()
-                except Empty:
-                    return
-                shard = make_shard(self._plan, entry, renderer, self._image_done, self._visibility)
-                self._keep(entry, shard)
+        """Make shards until none is left, with a new renderer after one that crashed."""
+        while not (self._stopping.is_set() or self._queue.empty()):
+            with self._open_renderer() as renderer:
+                with self._lock:
+                    self._renderers.append(renderer)
+                versions = software_versions(renderer)  # waits for it to start
+                with self._lock:
+                    self._prepare_folder(versions)
+                self._work_with(renderer)
+
+    def _work_with(self, renderer: Renderer) -> None:
+        """Make shards until none is left or the renderer crashes; its shard is then begun again."""
+        while not self._stopping.is_set():
+            try:
+                entry = self._queue.get_nowait()
+            except Empty:
+                return
+            on_image = partial(self._image_done, entry, count(1))
+            try:
+                shard = make_shard(self._plan, entry, renderer, on_image, self._visibility)
+            except RendererCrashedError as error:
+                self._begin_again(entry, error)
+                return
+            self._keep(entry, shard)
+
+    def _begin_again(self, entry: ShardEntry, error: RendererCrashedError) -> None:
+        """Put a shard back, unless it has crashed renderers too often, or all work is to stop."""
+        with self._lock:
+            self._crashes[entry.file] += 1
+            if self._stopping.is_set() or self._crashes[entry.file] > MAX_CRASHES_PER_SHARD:
+                raise error
+            self._on_crash(entry.file, error)
+        self._queue.put(entry)
 
     def _prepare_folder(self, versions: dict[str, str]) -> None:
         """Take the folder and write the manifest before the first shard, but only once there is a renderer for it."""
@@ -274,11 +305,15 @@ class _Run:
         write_manifest(self._folder, self._manifest)
         self._is_prepared = True
 
-    def _image_done(self) -> None:
+    def _image_done(self, entry: ShardEntry, numbers: Iterator[int]) -> None:
+        """Count an image, unless it was counted before the renderer crashed."""
         if self._stopping.is_set():
             raise _StoppedError
+        number = next(numbers)
         with self._lock:
-            self._on_image()
+            if number > self._counted[entry.file]:
+                self._counted[entry.file] = number
+                self._on_image()
 
     def _keep(self, entry: ShardEntry, shard: ShardFile) -> None:
         sha256 = hashlib.sha256(shard.data).hexdigest()

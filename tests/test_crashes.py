@@ -1,0 +1,109 @@
+"""A renderer that crashes costs its shard, which is begun again, and nothing else."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+from conftest import SIZE, make_plan, make_set
+from numpy_renderer import NumpyRenderer
+
+from symsol_annot.errors import RendererCrashedError
+from symsol_annot.generate import MAX_CRASHES_PER_SHARD, generate
+
+CALL_MAIN = "from symsol_annot_cli.main import main; main()"
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+class Crashing:
+    """Opens renderers of which each crashes at one of its frames, as long as `frames` has one for it."""
+
+    def __init__(self, *frames):
+        self.frames, self.opened = list(frames), 0
+
+    def __call__(self):
+        crash_at, drawn = (self.frames.pop(0) if self.frames else None), []
+        self.opened += 1
+
+        def on_frame():
+            drawn.append(1)
+            if len(drawn) == crash_at:
+                raise RendererCrashedError("the lamp blew up")
+
+        return NumpyRenderer("tetX", SIZE, on_frame)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_set_is_finished_to_the_same_bytes_and_each_image_counted_once(tmp_path, workers):
+    whole, seen, crashes = make_set(tmp_path / "a", test=40), [], []
+    opener = Crashing(3, 5)
+    generate(
+        make_plan(test=40),
+        tmp_path / "b" / "tetX",
+        opener,
+        workers,
+        lambda: seen.append(1),
+        on_crash=lambda shard, error: crashes.append((shard, str(error))),
+    )
+    assert contents(tmp_path / "b" / "tetX") == contents(whole)
+    assert len(seen) == 40
+    assert len(crashes) == 2
+    assert {error for _, error in crashes} == {"the lamp blew up"}
+    assert opener.opened <= 2 + workers
+
+
+def test_a_shard_that_crashes_every_renderer_is_given_up_and_the_others_are_kept(tmp_path):
+    opener = Crashing(20, 4, 4, 4, 4)
+    with pytest.raises(RendererCrashedError, match="the lamp blew up"):
+        generate(make_plan(test=40), tmp_path / "tetX", opener)
+    assert opener.opened == 1 + 2 * MAX_CRASHES_PER_SHARD  # shards that crashed wait behind the one that did not yet
+    assert len(list((tmp_path / "tetX").glob("*.h5"))) == 1
+    assert not list((tmp_path / "tetX").glob(".*"))
+    generate(make_plan(test=40), tmp_path / "tetX", partial(NumpyRenderer, "tetX", SIZE))
+    assert contents(tmp_path / "tetX") == contents(make_set(tmp_path / "whole", test=40))
+
+
+def test_a_crash_while_stopping_begins_nothing_again(tmp_path):
+    def stop():
+        raise KeyboardInterrupt
+
+    opener = Crashing(5)
+    with pytest.raises((RendererCrashedError, KeyboardInterrupt)):
+        generate(make_plan(test=40), tmp_path / "tetX", opener, 1, stop)
+    assert opener.opened == 1
+
+
+@pytest.mark.blender
+def test_a_killed_blender_is_replaced_and_the_command_says_so(tmp_path):
+    words = "render --object tetX --train 0 --test 128 --size 128 --workers 1 --out"
+    command = [sys.executable, "-c", CALL_MAIN, *words.split()]
+    quiet = subprocess.run([*command, str(tmp_path / "a")], capture_output=True, text=True, check=True)
+    with subprocess.Popen(
+        [*command, str(tmp_path / "b")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        while not list((tmp_path / "b" / "tetX").glob("*.h5")) and run.poll() is None:
+            time.sleep(0.01)
+        (blender,) = children_of(run.pid)
+        os.kill(blender, signal.SIGKILL)
+        out, err = run.communicate(timeout=120)
+    assert run.returncode == 0, err
+    assert "ended by signal SIGKILL" in err
+    assert "begun again after a crash of Blender: test-0000" in out
+    assert "begun again" not in quiet.stdout
+    assert contents(tmp_path / "a" / "tetX") == contents(tmp_path / "b" / "tetX")
+
+
+def children_of(pid):
+    parents = {int(path.parent.name): int(path.read_text().rsplit(")", 1)[1].split()[1]) for path in stat_files()}
+    return [child for child, parent in parents.items() if parent == pid]
+
+
+def stat_files():
+    return [path for path in Path("/proc").glob("[0-9]*/stat") if path.exists()]
