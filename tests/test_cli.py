@@ -30,6 +30,11 @@ import symsol_annot
 
 CALL_MAIN = "from symsol_annot_cli.main import main; main()"
 COMMAND = (sys.executable, "-c", CALL_MAIN)
+INTERRUPTIBLE = (  # also from a background job, which is born deaf to it
+    sys.executable,
+    "-c",
+    f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {CALL_MAIN}",
+)
 WITHOUT_BPY = (sys.executable, "-c", f"import sys; sys.modules['bpy'] = None; {CALL_MAIN}")
 WITHOUT_EGL = {"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent"}
 PROJECT = Path(__file__).parents[1]
@@ -712,7 +717,7 @@ def interrupted(tmp_path_factory):
     mark = f"SYMSOL_ANNOT_TEST={uuid4()}"
     shared_memory = names_in("/dev/shm")
     process = subprocess.Popen(
-        [*COMMAND, "render", *LONGER_SET, "--out", str(out)],
+        [*INTERRUPTIBLE, "render", *LONGER_SET, "--out", str(out)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
