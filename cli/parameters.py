@@ -52,7 +52,9 @@ class Crashes:
     def __call__(self, shard: str, error: RendererCrashedError) -> None:
         """Take note of one."""
         self.shards.append(shard)
-        tqdm.write(f"{shard}: {error}\nA new Blender begins the shard again.", file=sys.stderr)
+        tqdm.write(
+            f"{shard}: a new Blender begins this shard again, for the last one crashed. {error}", file=sys.stderr
+        )
 
 
 def cores() -> int:

@@ -67,7 +67,7 @@ class BlenderRenderer:
         self._turn(R_m2c)
         whole, counted = self._windows(R_m2c)
         samples = self._blank.copy()
-        for window in {whole: None, counted: None}:
+        for window in dict.fromkeys((whole, counted)):  # once, where they are one
             samples[window.samples(self._n)] = self._draw(window)
         drawn = samples[whole.samples(self._n)]
         ids = self._ids.of(drawn)

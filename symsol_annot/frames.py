@@ -16,7 +16,7 @@ Bytes = npt.NDArray[np.uint8]
 _NO_ID = 255
 _SHADES = 4096  # more than 8 bits can tell apart
 _ROUNDING = 1  # levels, by float32
-_THIN = 0.25  # samples: of what is thicker, the samples beside it are at most a fortieth of its height away
+_THIN = 0.25  # samples; beside what is thicker, a sample is at most a fortieth of its height away (2048 pixels)
 _BEYOND = 0.025  # light by which such a sample may be darker or brighter than the corners
 
 
@@ -84,8 +84,8 @@ class SampleIds:
         if ids.max(initial=0) == _NO_ID:
             stray = np.unique(samples[ids == _NO_ID], axis=0)
             raise RenderError(
-                f"Blender drew colours that are neither background, body nor marking: {stray[:8].tolist()}, so it "
-                "has no segmentation. Finished shards are kept. Please report this, with the command and its versions"
+                f"Blender drew colours that are neither background, body nor marking: {stray[:8].tolist()}; "
+                "the frame has no segmentation. Finished shards are kept. Please report this, with the command you gave"
             )
         return ids
 

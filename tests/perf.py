@@ -58,8 +58,8 @@ def measure(*, quick):
         }
         found["loading"] = perf_loading.measure(folder / str(counts[0]), rounds=2 * rounds + 1)
         found["loading_growth"] = {
-            f"{count} images, {processes} process{'es' * (processes > 1)}": [
-                perf_loading.samples_per_second(folder / str(count), processes) for _ in range(rounds)
+            f"{count} images, {_processes(processes)}": [
+                perf_loading.load_together(folder / str(count), processes) for _ in range(rounds)
             ]
             for count in counts
             for processes in (1, PROCESSES)
@@ -89,13 +89,22 @@ def stages(name, views):
 
 def growth(folder, images, rounds, counts):
     """Return what 1 and 2 processes make, in turn, and sets of few and of many images, with their memory."""
-    runs = {f"{processes} process{'es' * (processes > 1)}": [] for processes in (1, PROCESSES)}
+    ways = {
+        f"{sets}, {_processes(processes)}": (processes, annotate)
+        for sets, annotate in (("all sets", "all"), ("no sets", "none"))
+        for processes in (1, PROCESSES)
+    }
+    runs = {way: [] for way in ways}
     for _ in range(rounds):
-        for processes, kind in zip((1, PROCESSES), runs, strict=True):
-            runs[kind].append(perf_sets.make(NAME, images, processes, "all"))
+        for way, (processes, annotate) in ways.items():
+            runs[way].append(perf_sets.make(NAME, images, processes, annotate))
     for count in counts:
-        runs[f"{count} images"] = [perf_sets.make(NAME, count, PROCESSES, "all", folder / str(count))]
+        runs[f"all sets, {count} images"] = [perf_sets.make(NAME, count, PROCESSES, "all", folder / str(count))]
     return runs
+
+
+def _processes(number):
+    return f"{number} process{'es' * (number > 1)}"
 
 
 def table(found):
@@ -116,8 +125,10 @@ def table(found):
         rate = statistics.median(run["pairs_per_second"] for run in runs)
         peaks = (max(run[key] for run in runs) for key in ("parent_mib", "blender_mib"))
         lines.append(f"| {kind} | {rate:.1f} | {', '.join(map(str, peaks))} |")
-    lines += ["", "| loading by load() | samples a second |", "|---|---|"]
-    lines += [f"| {kind} | {statistics.median(rates):.0f} |" for kind, rates in found["loading_growth"].items()]
+    lines += ["", "| loading by load() | samples a second | peak MiB of a process |", "|---|---|---|"]
+    for kind, runs in found["loading_growth"].items():
+        rate = statistics.median(run["samples_per_second"] for run in runs)
+        lines.append(f"| {kind} | {rate:.0f} | {max(run['peak_mib'] for run in runs)} |")
     for name, stages_ms in found["stages_ms"].items():
         lines += ["", f"| stage of a view, {name} | ms |", "|---|---|"]
         lines += [f"| {stage} | {ms:.2f} |" for stage, ms in stages_ms.items()]

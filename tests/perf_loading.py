@@ -11,6 +11,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import resource
 import statistics
 import tempfile
 import time
@@ -63,14 +64,14 @@ def measure(folder, rounds=9, split="test"):
     }
 
 
-def samples_per_second(folder, processes, split="test"):
-    """Return at what rate processes together `load()` a split once, in a shuffled order of which each has its share."""
+def load_together(folder, processes, split="test"):
+    """Return samples_per_second and peak_mib of processes that `load()` a shuffled split together, each its share."""
     context = multiprocessing.get_context("spawn")
     meeting = context.Barrier(processes)
     with context.Pool(processes, _meet_at, (meeting,)) as pool:
         spans = pool.starmap(_read_share, [(folder, split, k, processes) for k in range(processes)], chunksize=1)
-    start, end = min(start for start, _, _ in spans), max(end for _, end, _ in spans)
-    return round(sum(read for _, _, read in spans) / (end - start))
+    starts, ends, reads, peaks = zip(*spans, strict=True)
+    return {"samples_per_second": round(sum(reads) / (max(ends) - min(starts))), "peak_mib": max(peaks)}
 
 
 def _meet_at(meeting):
@@ -79,7 +80,7 @@ def _meet_at(meeting):
 
 
 def _read_share(folder, split, number, of):
-    """Read a share of the split twice, the second time with the others; return start, end and its size."""
+    """Read a share of the split twice, the second time with the others; return start, end, size and peak MiB."""
     with load(folder, split) as dataset:
         share = np.random.default_rng(0).permutation(len(dataset))[number::of].tolist()
         for index in share:
@@ -88,7 +89,8 @@ def _read_share(folder, split, number, of):
         start = time.monotonic()
         for index in share:
             dataset[index]
-        return start, time.monotonic(), len(share)
+        end = time.monotonic()
+    return start, end, len(share), round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 def _ms_a_sample(read, order):

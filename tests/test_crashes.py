@@ -12,7 +12,7 @@ import pytest
 from conftest import SIZE, make_plan, make_set
 from numpy_renderer import NumpyRenderer
 
-from symsol_annot.errors import RendererCrashedError
+from symsol_annot.errors import RendererCrashedError, RenderError
 from symsol_annot.generate import MAX_CRASHES_PER_SHARD, generate
 
 CALL_MAIN = "from symsol_annot_cli.main import main; main()"
@@ -70,14 +70,27 @@ def test_a_shard_that_crashes_every_renderer_is_given_up_and_the_others_are_kept
     assert contents(tmp_path / "tetX") == contents(make_set(tmp_path / "whole", test=40))
 
 
-def test_a_crash_while_stopping_begins_nothing_again(tmp_path):
-    def stop():
-        raise KeyboardInterrupt
+def test_a_renderer_that_is_closed_while_it_draws_is_no_crash_to_begin_again_after(tmp_path):
+    """As a RenderProcess does, it says that it crashed when another worker's failure closes it."""
+    opened, crashes = [], []
 
-    opener = Crashing(5)
-    with pytest.raises((RendererCrashedError, KeyboardInterrupt)):
-        generate(make_plan(test=40), tmp_path / "tetX", opener, 1, stop)
-    assert opener.opened == 1
+    class Closed(NumpyRenderer):
+        def render(self, R_m2c):
+            if self is opened[0] and len(opened) == 2:
+                raise RenderError("the lamp broke")
+            while not self.is_closed and len(opened) == 2:
+                time.sleep(0.005)
+            if self.is_closed:
+                raise RendererCrashedError("was closed while it was drawing")
+            return super().render(R_m2c)
+
+    def open_renderer():
+        opened.append(Closed("tetX", SIZE))
+        return opened[-1]
+
+    with pytest.raises(RenderError, match="the lamp broke"):
+        generate(make_plan(test=640), tmp_path / "tetX", open_renderer, 2, on_crash=lambda *what: crashes.append(what))
+    assert (len(opened), crashes) == (2, [])
 
 
 @pytest.mark.blender
