@@ -11,7 +11,6 @@ import argparse
 import json
 import multiprocessing
 import os
-import resource
 import statistics
 import tempfile
 import time
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from perf_sets import peak_mib
 from PIL import Image
 
 from symsol_annot import load
@@ -90,7 +90,7 @@ def _read_share(folder, split, number, of):
         for index in share:
             dataset[index]
         end = time.monotonic()
-    return start, end, len(share), round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    return start, end, len(share), peak_mib()
 
 
 def _ms_a_sample(read, order):
