@@ -29,8 +29,8 @@ lint: $(INSTALLED)  ## the quick checks
 	$(BIN)/lint-imports
 	$(BIN)/python -m symsol_annot_assets.build --check --out blender_assets
 
-soak: $(INSTALLED)  ## long proofs on real renders
-	$(BIN)/python tests/soak.py
+soak: $(INSTALLED)  ## long proofs on real renders and real processes, in build/soak.json; as root, about 20 minutes
+	$(BIN)/python tests/soak
 
 perf: $(INSTALLED)  ## speed and memory, beside the common recipe, drawing every candidate, and PNG files
 	$(BIN)/python tests/perf.py
@@ -51,7 +51,7 @@ clean:
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-		--editable '.[render,plot,bench,dev]' --config-settings editable_mode=strict
+		--editable '.[render,plot,bench,cluster,dev]' --config-settings editable_mode=strict
 	$(BIN)/symsol-annot doctor --install
 	rm -f $(VENV)/installed-*
 	touch $@

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 from tqdm import tqdm
 
-from symsol_annot.errors import RendererCrashedError, UnknownObjectError
+from symsol_annot.errors import UnknownObjectError
 from symsol_annot.objects import ObjectSpec, load_object
 
 
@@ -38,23 +38,9 @@ DATA = click.option(
 )
 
 
-def progress_bar(total: int | None, unit: str) -> "tqdm[None]":
-    """Return a bar with rate and time left; quiet where standard error is no terminal."""
-    return tqdm(total=total, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)
-
-
-class Crashes:
-    """Says on standard error that a shard is begun again after a crash of Blender, and remembers which."""
-
-    def __init__(self) -> None:
-        self.shards: list[str] = []
-
-    def __call__(self, shard: str, error: RendererCrashedError) -> None:
-        """Take note of one."""
-        self.shards.append(shard)
-        tqdm.write(
-            f"{shard}: a new Blender begins this shard again, for the last one crashed. {error}", file=sys.stderr
-        )
+def progress_bar(total: int | None, unit: str, done: int = 0) -> "tqdm[None]":
+    """Return a bar with rate (without what was `done`) and time left; quiet where standard error is no terminal."""
+    return tqdm(total=total, initial=done, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)
 
 
 def cores() -> int:

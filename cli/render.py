@@ -5,14 +5,21 @@ from pathlib import Path
 from shlex import quote
 
 import click
-from symsol_annot_cli.parameters import Crashes, ObjectType, cores, progress_bar
+from symsol_annot_cli.parameters import ObjectType, cores
+from symsol_annot_cli.reporting import LOG_FORMATS, Tally, failures_in_words, reporter
 
-from symsol_annot.generate import ANNOTATE_CHOICES, MAX_SEED, SetPlan, generate
+from symsol_annot.blender_process import check_blender_installed
+from symsol_annot.errors import ClusterError
+from symsol_annot.executors import OpenExecutor, local_processes
+from symsol_annot.generate import generate
 from symsol_annot.manifest import SPLITS, Manifest
 from symsol_annot.object_check import check_object
 from symsol_annot.objects import ObjectSpec
-from symsol_annot.render_process import RenderProcess, check_blender_installed
+from symsol_annot.plan import ANNOTATE_CHOICES, MAX_SEED, SetPlan
 from symsol_annot.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, RenderSettings
+from symsol_annot.shard_process import DEFAULT_LIMITS, Limits
+
+_MIB = 2**20
 
 
 @click.command()
@@ -38,6 +45,38 @@ from symsol_annot.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, Render
     help="auto: geometry decides where it can, on convex bodies. exhaustive: draw every candidate. Same bytes.",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=None, help="Blender processes.  [default: all cores]")
+@click.option("--cluster", metavar="ADDRESS", help="Let a Dask scheduler's workers do it: tcp://HOST:8786.")
+@click.option(
+    "--scheduler-file", type=click.Path(path_type=Path), help="The same, the address read from the scheduler's file."
+)
+@click.option(
+    "--worker-memory",
+    metavar="MIB",
+    type=click.IntRange(min=1),
+    default=DEFAULT_LIMITS.memory_bytes // _MIB,
+    show_default=True,
+    help="A worker that holds more is ended, and its shard begun again.",
+)
+@click.option(
+    "--worker-frames",
+    metavar="N",
+    type=click.IntRange(min=1),
+    default=DEFAULT_LIMITS.frames,
+    show_default=True,
+    help="A worker that has drawn so many is replaced after its shard.",
+)
+@click.option(
+    "--time-limit",
+    metavar="SECONDS",
+    type=click.FloatRange(min=0, min_open=True),
+    default=DEFAULT_LIMITS.silence_s,
+    show_default=True,
+    help="A worker that gives no sign of life for so long is ended, and its shard begun again.",
+)
+@click.option("--repair", is_flag=True, help="Make damaged or missing shards again, and replace foreign ones.")
+@click.option(
+    "--log-format", type=click.Choice(LOG_FORMATS), default=LOG_FORMATS[0], show_default=True, help="On stderr."
+)
 def render(
     spec: ObjectSpec,
     out: Path,
@@ -49,6 +88,14 @@ def render(
     annotate: str,
     annotate_method: str,
     workers: int | None,
+    cluster: str | None,
+    scheduler_file: Path | None,
+    worker_memory: int,
+    worker_frames: int,
+    time_limit: float,
+    log_format: str,
+    *,
+    repair: bool,
 ) -> None:
     """Make an object's image set: RGB, segmentation and symmetry sets, in HDF5 shards.
 
@@ -56,31 +103,39 @@ def render(
     """
     if train == test == 0:
         raise click.UsageError("--train and --test are both 0, which makes no set; --train 0 alone is fine")
-    check_blender_installed()
+    limits = Limits(worker_frames, worker_memory * _MIB, time_limit)
+    open_executor = _executor(workers, cluster, scheduler_file, limits, exhaustive=annotate_method == "exhaustive")
     check_object(spec)
-    camera, settings = Camera.filling(size), RenderSettings(engine)
-    plan = SetPlan(spec, {"train": train, "test": test}, seed, camera, settings, annotate)
-    folder, begun_again = out / spec.name, Crashes()
-    with progress_bar(train + test, "image") as bar:
-        bar.set_description(spec.name)
+    plan = SetPlan(spec, {"train": train, "test": test}, seed, Camera.filling(size), RenderSettings(engine), annotate)
+    folder = out / spec.name
+    with reporter(log_format, spec.name) as report:
         try:
-            manifest = generate(
-                plan,
-                folder,
-                partial(RenderProcess, spec, camera, settings),
-                workers or cores(),
-                bar.update,
-                exhaustive=annotate_method == "exhaustive",
-                on_crash=begun_again,
-            )
+            manifest = generate(plan, folder, open_executor, report, repair=repair)
         except KeyboardInterrupt:
-            bar.close()
             click.echo(f"Finished shards in {folder} are kept; the same command goes on.", err=True)
             raise
-    _summarise(folder, manifest, begun_again)
+    _summarise(folder, manifest, report.tally)
 
 
-def _summarise(folder: Path, manifest: Manifest, begun_again: Crashes) -> None:
+def _executor(
+    workers: int | None, cluster: str | None, scheduler_file: Path | None, limits: Limits, *, exhaustive: bool
+) -> OpenExecutor:
+    if sum(choice is not None for choice in (workers, cluster, scheduler_file)) > 1:
+        raise click.UsageError("--workers, --cluster and --scheduler-file are three ways to say who works; give one")
+    if cluster is None and scheduler_file is None:
+        check_blender_installed()
+        return partial(local_processes, workers=workers or cores(), limits=limits, exhaustive=exhaustive)
+    try:
+        from symsol_annot.cluster import DaskCluster, address_in  # noqa: PLC0415 - an extra, slow to import
+    except ImportError:
+        raise ClusterError(
+            "a cluster needs Dask, which is not installed: `pip install 'symsol-annot[cluster]'`"
+        ) from None
+    address = cluster or address_in(scheduler_file or Path())
+    return partial(DaskCluster, address=address, limits=limits, exhaustive=exhaustive)
+
+
+def _summarise(folder: Path, manifest: Manifest, tally: Tally) -> None:
     click.echo(f"{folder}: {manifest.recipe['object']}, fingerprint {manifest.fingerprint}")
     for split in SPLITS:
         entries = manifest.of_split(split)
@@ -88,8 +143,8 @@ def _summarise(folder: Path, manifest: Manifest, begun_again: Crashes) -> None:
             mebibytes = sum(entry.bytes or 0 for entry in entries) / 2**20
             sets = "with symmetry sets" if manifest.is_annotated(split) else "without symmetry sets"
             click.echo(f"  {split}: {manifest.images(split)} images {sets}, {len(entries)} shards, {mebibytes:.1f} MiB")
-    if begun_again.shards:
-        click.echo(f"  begun again after a crash of Blender: {', '.join(begun_again.shards)}")
+    for line in failures_in_words(tally):
+        click.echo(line)
     split = "test" if manifest.images("test") else "train"
     path, code = quote(str(folder)), f"import symsol_annot; print(symsol_annot.load({str(folder)!r}, {split!r})[0])"
     click.echo(

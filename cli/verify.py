@@ -6,15 +6,19 @@ from pathlib import Path
 
 import click
 import numpy as np
-from symsol_annot_cli.parameters import SET_FOLDER, Crashes, ObjectType, cores, progress_bar
+from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, cores, progress_bar
+from symsol_annot_cli.reporting import failures_in_words, reporter
 
 from symsol_annot import dataset
 from symsol_annot.audit import AuditReport, audit
+from symsol_annot.blender_process import check_blender_installed
 from symsol_annot.errors import DataError, UnknownObjectError
-from symsol_annot.generate import SetPlan, damaged_shards, generate
+from symsol_annot.executors import local_processes
+from symsol_annot.generate import damaged_shards, generate
 from symsol_annot.manifest import Manifest, read_manifest
 from symsol_annot.objects import ObjectSpec, load_object
-from symsol_annot.render_process import RenderProcess, check_blender_installed
+from symsol_annot.plan import SetPlan
+from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.verify import verify as find_faults
 
@@ -83,10 +87,10 @@ def _repair_set(folder: Path, given: ObjectSpec | None) -> None:
         return
     check_blender_installed()
     spec = _object_of(folder, manifest, given)
-    with progress_bar(sum(entry.images for entry in manifest.shards), "image") as bar:
-        plan, open_renderer = SetPlan.of(manifest, spec), partial(_renderer, manifest, spec)
-        generate(plan, folder, open_renderer, cores(), bar.update, repair=True, on_crash=Crashes())
-    click.echo(f"{folder}: made again: {', '.join(todo)}")
+    plan, open_executor = SetPlan.of(manifest, spec), partial(local_processes, workers=cores())
+    with reporter("text", spec.name) as report:
+        generate(plan, folder, open_executor, report, repair=True)
+    click.echo("\n".join([f"{folder}: made again: {', '.join(todo)}", *failures_in_words(report.tally)]))
 
 
 def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.random.Generator) -> list[str]:

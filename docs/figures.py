@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.path import Path as Polygon
 
-from symsol_annot.generate import label_rotation
 from symsol_annot.objects import load_object
+from symsol_annot.plan import label_rotation
 from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.visibility import MarkingVisibility

@@ -9,5 +9,6 @@ __version__ = "0.1.0"
 
 from symsol_annot.dataset import Dataset, Sample, load
 from symsol_annot.errors import SymsolError
+from symsol_annot.order import shuffled_order
 
-__all__ = ["Dataset", "Sample", "SymsolError", "__version__", "load"]
+__all__ = ["Dataset", "Sample", "SymsolError", "__version__", "load", "shuffled_order"]

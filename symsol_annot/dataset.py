@@ -24,7 +24,7 @@ from symsol_annot.manifest import SPLITS, Manifest, read_manifest
 from symsol_annot.shards import header_mismatches, open_shard
 from symsol_annot.so3 import Rotations, turned
 
-_MAX_OPEN_SHARDS = 8
+MAX_OPEN_SHARDS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +150,11 @@ class Dataset(Sequence[Sample]):
         rotation, mask, pixels, visible = (np.concatenate(column)[rows] for column in zip(*columns, strict=True))
         return Labels(rotation, mask, self.symmetry_group, pixels, visible)
 
+    def shard_numbers(self) -> npt.NDArray[np.int64]:
+        """Return the number (n,) of the shard that holds each image, counted within the split; no file is read."""
+        indices = np.arange(self._rows.start, self._rows.stop, self._rows.step)
+        return np.searchsorted(self._starts, indices, side="right").astype(np.int64) - 1
+
     def __len__(self) -> int:
         return len(self._rows)
 
@@ -207,7 +212,7 @@ class Dataset(Sequence[Sample]):
             shard = self._shards[number] = _Shard(self.folder / entry.file, entry.images, expected)
         file = self._open.pop(number, None)
         if file is None:
-            while len(self._open) >= _MAX_OPEN_SHARDS:
+            while len(self._open) >= MAX_OPEN_SHARDS:
                 with contextlib.suppress(KeyError):  # another thread was faster
                     self._open.popitem(last=False)
             file = shard.open()

@@ -9,9 +9,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from symsol_annot.blender_process import RENDERING_PYTHON, check_blender_installed
 from symsol_annot.errors import RenderError
 from symsol_annot.objects import load_object
-from symsol_annot.render_process import RENDERING_PYTHON, RenderProcess, check_blender_installed
+from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import Camera, RenderSettings
 
 # Shared library: the Debian package that holds it.

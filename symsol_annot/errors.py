@@ -10,10 +10,15 @@
     │   └── NotAnnotatedError   symmetry sets asked of a split that was rendered without
     ├── PredictionsError        a predictions file is broken, or about another set
     ├── ScoresError             a scores file is broken, or cannot be compared with another
+    ├── ModelError              a model was given what it cannot take
+    │   ├── WeightsError            its weights are missing, damaged or another model's
+    │   └── TrainingError           it cannot be trained on: a loss that is not finite, no memory, another training
     ├── OutputError             a file cannot be written: permission, disk full
     └── RenderError             Blender cannot start, or stopped
         ├── RendererMissingError    something that Blender needs is not installed
+        ├── ClusterError            a cluster cannot be reached, or its workers are not alike
         └── RendererCrashedError    Blender's process ended in the middle of its work
+            └── RendererHungError       it gave no sign of life, and was ended
 
 Every message says what was expected, what was found, where, and what to do next.
 """
@@ -76,6 +81,18 @@ class ScoresError(SymsolError):
     """A scores file is broken, or cannot be compared with another."""
 
 
+class ModelError(SymsolError):
+    """A model was given what it cannot take: images of another shape or type."""
+
+
+class WeightsError(ModelError):
+    """A model's weights cannot be had: no file, no download, a damaged file, or another model's."""
+
+
+class TrainingError(ModelError):
+    """Training cannot go on: a loss that is not finite, too little memory, a folder that holds another training."""
+
+
 class OutputError(SymsolError):
     """A file cannot be written."""
 
@@ -88,5 +105,15 @@ class RendererMissingError(RenderError):
     """Something that Blender needs is not installed."""
 
 
+class ClusterError(RenderError):
+    """A cluster cannot be reached, was lost, or has workers that would make other bytes."""
+
+
 class RendererCrashedError(RenderError):
-    """Blender's process ended in the middle of its work."""
+    """Blender's process ended in the middle of its work; `worker` is its name, where it has one."""
+
+    worker = ""
+
+
+class RendererHungError(RendererCrashedError):
+    """Blender's process gave no sign of life, and was ended."""

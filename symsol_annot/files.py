@@ -5,7 +5,7 @@ import errno
 import hashlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from symsol_annot.errors import OutputError
@@ -25,7 +25,8 @@ def write_atomically(path: Path, data: bytes) -> None:
     partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
     with output_errors(path):
         try:
-            with partial.open("wb") as file:
+            partial.unlink(missing_ok=True)  # it may be a link to elsewhere
+            with partial.open("xb") as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
@@ -53,26 +54,36 @@ def file_sha256(path: Path) -> str:
 def locked(folder: Path) -> Iterator[None]:
     """Hold a folder for this process alone; the lock ends with the process and leaves no file.
 
+    A file system without such locks (some network ones) lets everybody in; two processes then make the same bytes.
+
     Raises:
-        OutputError: another process holds it.
+        OutputError: another process holds it, or it cannot be opened.
     """
     if sys.platform == "win32":  # has no such lock
         yield
         return
-    descriptor = os.open(folder, os.O_RDONLY)
+    with output_errors(folder):
+        descriptor = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = _lock_holder(descriptor)
-        os.close(descriptor)
-        raise OutputError(
-            f"{folder}: another process{holder} is making this set right now; wait for it, or choose another folder "
-            "with --out"
-        ) from None
-    try:
+        if not try_lock(descriptor):
+            raise OutputError(
+                f"{folder}: another process{_lock_holder(descriptor)} is making this set right now; wait for it, or "
+                "choose another folder with --out"
+            )
         yield
     finally:
         os.close(descriptor)
+
+
+def try_lock(descriptor: int) -> bool:
+    """Lock an open file or folder until it is closed; False where somebody else holds it."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # this file system has no locks
+        return True
+    return True
 
 
 def _lock_holder(descriptor: int) -> str:
@@ -88,6 +99,25 @@ def _lock_holder(descriptor: int) -> str:
     return ""
 
 
+@contextlib.contextmanager
+def held_folder(path: Path) -> Iterator[None]:
+    """Hold a folder for this process alone, made where it is missing and removed again where nothing was put in it.
+
+    Raises:
+        OutputError: it cannot be made, or another process holds it.
+    """
+    with output_errors(path):
+        made = [folder for folder in (path, *path.parents) if not folder.exists()]
+        path.mkdir(parents=True, exist_ok=True)
+    try:
+        with locked(path):
+            yield
+    finally:
+        with contextlib.suppress(OSError):  # it holds something
+            for folder in made:
+                folder.rmdir()
+
+
 def make_folder(path: Path) -> None:
     """Make a folder and its parents where they are missing.
 
@@ -98,6 +128,25 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
         if not os.access(path, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, "no write permission")
+
+
+def check_inside(folder: Path, names: Iterable[str]) -> None:
+    """Refuse links in a folder's names that lead out of it, before anything is written.
+
+    Raises:
+        OutputError: one does.
+    """
+    with output_errors(folder):
+        inside = folder.resolve()
+        out = [
+            name for name in names if (folder / name).is_symlink() and inside not in (folder / name).resolve().parents
+        ]
+    if out:
+        target = (folder / out[0]).resolve()
+        raise OutputError(
+            f"{folder / out[0]}: is a symbolic link to {target}, outside the set's folder; nothing was written. "
+            "Remove the link, or choose another folder with --out"
+        )
 
 
 def remove_partial_files(folder: Path) -> None:

@@ -1,174 +1,97 @@
-"""Making a set: a plan of shards, carried out by workers that each hold a renderer.
+"""Making a set: a plan of shards, carried out by an executor, each checked on arrival and put into the folder.
 
 The plan depends on nothing but the settings, and a shard on nothing but the plan, so that the bytes are the
-same whatever the number of workers and the order they worked in.
+same whoever made it and in whatever order. This process alone writes to the folder.
 """
 
 import hashlib
+import io
 import threading
-from collections import Counter
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from collections import Counter, deque
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 from functools import partial
-from itertools import count
 from pathlib import Path
-from queue import Empty, SimpleQueue
 
-import numpy as np
+from symsol_annot.errors import ClusterError, DataError, DifferentSetError, RendererCrashedError
+from symsol_annot.events import (
+    ImagesMade,
+    OnEvent,
+    ShardBegunAgain,
+    ShardFinished,
+    Started,
+    StrangersFound,
+    WorkersGone,
+    ignore,
+)
+from symsol_annot.executors import Executor, OpenExecutor
+from symsol_annot.files import (
+    check_inside,
+    file_sha256,
+    held_folder,
+    make_folder,
+    output_errors,
+    remove_partial_files,
+    write_atomically,
+)
+from symsol_annot.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.plan import SetPlan
+from symsol_annot.shard_maker import MadeShard
+from symsol_annot.shards import header_mismatches, open_shard, versions_of
 
-from symsol_annot import __version__
-from symsol_annot.annotate import annotate, is_shown, marking_pixels
-from symsol_annot.errors import DataError, DifferentSetError, RendererCrashedError, SettingsError
-from symsol_annot.files import file_sha256, locked, make_folder, output_errors, remove_partial_files, write_atomically
-from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest, write_manifest
-from symsol_annot.objects import ObjectSpec
-from symsol_annot.scene import Camera, Renderer, RenderSettings
-from symsol_annot.shards import ImageRecord, ShardFile, ShardHeader, ShardWriter, read_versions, storage_versions
-from symsol_annot.so3 import Rotations, uniform_rotations
-from symsol_annot.visibility import MarkingVisibility, is_convex
-
-ANNOTATE_CHOICES = ("all", "test", "none")
-MAX_IMAGES_PER_SHARD = 500
-MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
-_MAX_PIXELS_PER_SHARD = 2**25  # a shard is built in memory
-_SMALL_SET_SHARDS = 8  # a small set is still divided, so that several workers have work
-_MIN_IMAGES_PER_SHARD = 16
 MAX_CRASHES_PER_SHARD = 2
-
-OpenRenderer = Callable[[], Renderer]
-OnImage = Callable[[], object]
-OnCrash = Callable[[str, RendererCrashedError], object]
-
-
-@dataclass(frozen=True)
-class SetPlan:
-    """All that decides a set's bytes.
-
-    Attributes:
-        spec: the object.
-        images: how many images a split has, by split.
-        seed: of the random rotations.
-        camera: what the object is seen through.
-        settings: how it is drawn.
-        annotate: which splits get symmetry sets: "all", "test" or "none".
-    """
-
-    spec: ObjectSpec
-    images: dict[str, int]
-    seed: int
-    camera: Camera
-    settings: RenderSettings
-    annotate: str
-
-    def __post_init__(self) -> None:
-        """Refuse counts and choices that make no set."""
-        if any(number < 0 for number in self.images.values()) or not any(self.images.values()):
-            raise SettingsError(f"images: expected counts of 0 or more that are not all 0, found {self.images}")
-        if set(self.images) - set(SPLITS):
-            raise SettingsError(f"splits: expected {', '.join(SPLITS)}, found {', '.join(self.images)}")
-        if self.annotate not in ANNOTATE_CHOICES:
-            raise SettingsError(f"annotate: expected one of {', '.join(ANNOTATE_CHOICES)}, found {self.annotate!r}")
-        if not 0 <= self.seed <= MAX_SEED:
-            raise SettingsError(f"seed: expected 0 to {MAX_SEED}, found {self.seed}")
-
-    @classmethod
-    def of(cls, manifest: Manifest, spec: ObjectSpec) -> "SetPlan":
-        """Return the plan that a set was made by; whether the object is the right one is for `generate` to find."""
-        recipe = manifest.recipe
-        images = {split: manifest.images(split) for split in SPLITS}
-        camera, settings = Camera(**recipe["camera"]), RenderSettings.from_dict(recipe["render"])
-        return cls(spec, images, recipe["seed"], camera, settings, recipe["annotate"])
-
-    def manifest(self) -> Manifest:
-        """Return the manifest of the set before its first shard is written."""
-        recipe = {
-            "object": self.spec.name,
-            "object_sha256": self.spec.digest,
-            "seed": self.seed,
-            "camera": self.camera.to_dict(),
-            "render": self.settings.to_dict(),
-            "tolerance_px": self.spec.marking.tolerance_px if self.spec.marking else None,
-            "annotate": self.annotate,
-        }
-        return Manifest(recipe, tuple(entry for split in SPLITS for entry in self._shards(split)))
-
-    def _shards(self, split: str) -> Iterator[ShardEntry]:
-        images = self.images.get(split, 0)
-        fitting = max(1, _MAX_PIXELS_PER_SHARD // (self.camera.width * self.camera.height))
-        per_shard = max(_MIN_IMAGES_PER_SHARD, -(-images // _SMALL_SET_SHARDS))
-        per_shard = min(per_shard, MAX_IMAGES_PER_SHARD, fitting)
-        shards = -(-images // per_shard)
-        for number in range(shards):
-            first = number * per_shard
-            name = f"{split}-{number:05d}-of-{shards:05d}.h5"
-            yield ShardEntry(name, split, first, min(per_shard, images - first))
-
-
-def label_rotation(seed: int, object_name: str, split: str, index: int) -> Rotations:
-    """Return the rotation (3, 3) of one image: uniform on SO(3), from these four values alone."""
-    key = hashlib.sha256(f"{seed}/{object_name}/{split}/{index}".encode()).digest()
-    rng = np.random.Generator(np.random.Philox(key=np.frombuffer(key[:16], dtype="<u8")))
-    return uniform_rotations(1, rng)[0]
+_AHEAD = 1  # shards that wait beyond those being made, so that no worker waits for this process
+_LOOK_SECONDS = 1.0  # between two looks at how many workers there are
 
 
 def generate(
     plan: SetPlan,
     folder: Path,
-    open_renderer: OpenRenderer,
-    workers: int = 1,
-    on_image: OnImage = lambda: None,
+    open_executor: OpenExecutor,
+    on_event: OnEvent = ignore,
     *,
-    exhaustive: bool = False,
     repair: bool = False,
-    on_crash: OnCrash = lambda *_: None,
 ) -> Manifest:
     """Make the shards of a plan that the folder does not hold yet, and return the finished manifest.
 
     Args:
         plan: the set.
         folder: where its shards and its manifest go.
-        open_renderer: starts a renderer; each worker calls it once.
-        workers: how many shards are made at the same time.
-        on_image: called after each image, also for those of shards that are there already.
-        exhaustive: draw every candidate, also where geometry decides; the bytes are the same.
-        repair: make damaged or missing shards again that were finished once, too.
-        on_crash: called when a renderer crashed and its shard is begun again with a new one: shard, error.
+        open_executor: from the plan to who makes its shards; called only if there is work.
+        on_event: told what happens, by one thread at a time.
+        repair: make shards again that were finished once and are missing or damaged, and replace foreign ones.
 
     Raises:
-        DifferentSetError: the folder holds another set; nothing was touched.
-        DataError: a finished shard in the folder is damaged, or made again it is not what the manifest says; that shard
-            was not touched.
-        OutputError: the folder cannot be written to.
-        RenderError: a renderer failed, or crashed at one shard more than twice; finished shards are kept.
+        DifferentSetError: the folder holds another set, or one begun with other software; nothing was touched.
+        DataError: a shard in the folder is damaged or foreign, or made again it is not what the manifest says; that
+            shard was not touched.
+        OutputError: the folder cannot be written to, or another process is making this set.
+        RenderError: a worker failed, or a shard lost more than two of them; finished shards are kept.
     """
-    manifest = _open_set(plan, folder)
-    damaged = damaged_shards(folder, manifest)
-    if damaged and not repair:
-        raise DataError(
-            f"{folder}: finished shards are missing or damaged: {', '.join(entry.file for entry in damaged)}. "
-            "`symsol-annot verify` says more, and with --repair it makes them again"
-        )
-    todo = [entry for entry in manifest.shards if not entry.is_finished or entry in damaged]
-    for _ in range(sum(entry.images for entry in manifest.shards) - sum(entry.images for entry in todo)):
-        on_image()
-    visibility = None if exhaustive else visibility_of(plan)
-    _Run(plan, folder, open_renderer, on_image, manifest, todo, visibility, on_crash).carry_out(workers)
-    return read_manifest(folder)
+    _open_set(plan, folder)  # refuses another set before anything is touched
+    with held_folder(folder):
+        manifest = _open_set(plan, folder)
+        damaged = damaged_shards(folder, manifest)
+        todo = [entry for entry in manifest.shards if not entry.is_finished or entry in damaged]
+        if not repair:
+            _refuse_damaged(folder, damaged)
+            _refuse_foreign(folder, manifest, [entry for entry in todo if not entry.is_finished])
+        total, left = (sum(entry.images for entry in entries) for entries in (manifest.shards, todo))
+        on_event(Started(total, len(manifest.shards), total - left, len(manifest.shards) - len(todo)))
+        strangers = {path.name for path in folder.glob("*.h5")} - {entry.file for entry in manifest.shards}
+        if strangers:
+            on_event(StrangersFound(tuple(sorted(strangers))))
+        if todo:
+            make_folder(folder)
+            check_inside(folder, [MANIFEST_NAME, *(entry.file for entry in manifest.shards)])
+            with open_executor(plan) as executor:
+                _Run(folder, executor, manifest, on_event, repair=repair).carry_out(todo)
+        return read_manifest(folder)
 
 
 def damaged_shards(folder: Path, manifest: Manifest) -> list[ShardEntry]:
     """Return the shards that were finished once and are not there, or not as they were."""
     return [entry for entry in manifest.shards if entry.is_finished and not _is_whole(folder, entry)]
-
-
-def visibility_of(plan: SetPlan) -> MarkingVisibility | None:
-    """Return what decides by geometry whether a plan's marking shows; None without a marking or a convex body."""
-    spec = plan.spec
-    if spec.marking is None or not is_convex(spec.mesh):
-        return None
-    return MarkingVisibility(spec.mesh, plan.camera, plan.settings)
 
 
 def _open_set(plan: SetPlan, folder: Path) -> Manifest:
@@ -195,186 +118,183 @@ def _is_whole(folder: Path, entry: ShardEntry) -> bool:
         return False
 
 
-def _check_same_software(folder: Path, manifest: Manifest, versions: dict[str, str]) -> None:
-    """Refuse to finish a set with other software than it was begun with: its bytes would not be reproducible."""
-    for entry in manifest.shards:
-        if entry.is_finished and _is_whole(folder, entry):
-            there = read_versions(folder / entry.file)
-            names = sorted(name for name in {*there, *versions} if there.get(name) != versions.get(name))
-            if names:
-                differences = [f"{name}: there {there.get(name)}, here {versions.get(name)}" for name in names]
-                raise DifferentSetError(str(folder), differences)
-            return
+def _refuse_damaged(folder: Path, damaged: list[ShardEntry]) -> None:
+    if damaged:
+        raise DataError(
+            f"{folder}: finished shards are missing or damaged: {', '.join(entry.file for entry in damaged)}. "
+            "They are left as they are; the same command with --repair makes them again, to the same bytes"
+        )
+
+
+def _refuse_foreign(folder: Path, manifest: Manifest, unfinished: list[ShardEntry]) -> None:
+    """Refuse files with the names of shards to be made, unless a killed run of this very plan may have left them."""
+    foreign = [
+        entry.file for entry in unfinished if _is_foreign(folder / entry.file, manifest.expected_attributes(entry))
+    ]
+    if foreign:
+        raise DataError(
+            f"{folder}: holds files that are no shards of this set, under the names of shards to be made: "
+            f"{', '.join(foreign)}. They are left as they are; move them elsewhere, or give --repair to replace them"
+        )
+
+
+def _is_foreign(path: Path, expected: dict[str, object]) -> bool:
+    if not path.exists():
+        return False
+    try:
+        with open_shard(path) as shard:
+            return bool(header_mismatches(shard, expected))
+    except DataError:
+        return True
+
+
+def _differences(there: dict[str, str], here: dict[str, str]) -> list[str]:
+    """Say which software differs between two shards."""
+    names = sorted(name for name in {*there, *here} if there.get(name) != here.get(name))
+    return [f"{name}: there {there.get(name)}, here {here.get(name)}" for name in names]
 
 
 class _Run:
-    """One carrying-out of a plan; its threads share the queue of shards, the manifest and the will to stop."""
+    """One carrying-out of a plan: a thread submits, one keeps what arrives, and the executor's only count images."""
 
     def __init__(
-        self,
-        plan: SetPlan,
-        folder: Path,
-        open_renderer: OpenRenderer,
-        on_image: OnImage,
-        manifest: Manifest,
-        todo: list[ShardEntry],
-        visibility: MarkingVisibility | None,
-        on_crash: OnCrash,
+        self, folder: Path, executor: Executor, manifest: Manifest, on_event: OnEvent, *, repair: bool
     ) -> None:
-        self._plan, self._folder, self._open_renderer = plan, folder, open_renderer
-        self._on_image, self._on_crash = on_image, on_crash
-        self._manifest, self._visibility = manifest, visibility
+        self._folder, self._executor, self._manifest, self._repair = folder, executor, manifest, repair
+        self._on_event = on_event
         self._lock = threading.Lock()
-        self._stopping = threading.Event()
-        self._is_prepared = False
+        self._counted: Counter[str] = Counter()  # images of a shard that were told of
         self._crashes: Counter[str] = Counter()  # by shard
-        self._counted: Counter[str] = Counter()  # images of a shard that `on_image` was called for
-        self._renderers: list[Renderer] = []
-        self._queue: SimpleQueue[ShardEntry] = SimpleQueue()
-        self._todo = todo
-        for entry in todo:
-            self._queue.put(entry)
+        self._versions: dict[str, str] = {}  # the software that this set is made with, once a shard has arrived
+        self._first_worker = ""
+        self._is_prepared = False
+        self._has_workers = True
 
-    def carry_out(self, workers: int) -> None:
-        """Make all shards to do; on an error or Ctrl-C, stop at once and keep the finished ones."""
-        threads = max(1, min(workers, len(self._todo)))
-        if not self._todo:
-            return
-        with ExitStack() as self._held, ThreadPoolExecutor(threads, thread_name_prefix="shard") as pool:
-            try:
-                futures = [pool.submit(self._work) for _ in range(threads)]
-                done, _ = wait(futures, return_when=FIRST_EXCEPTION)
-            except BaseException:
-                self._stop()
-                raise
-            failed = [future for future in done if future.exception() is not None]
-            if failed:
-                self._stop()
-                failed[0].result()
+    def carry_out(self, todo: list[ShardEntry]) -> None:
+        """Make all shards to do; on an error or Ctrl-C, leave at once and keep the finished ones."""
+        waiting = deque(todo)
+        under_way: dict[Future[MadeShard], ShardEntry] = {}
+        with ThreadPoolExecutor(1, thread_name_prefix="keep") as keeper:  # which Ctrl-C does not interrupt half-way
+            while waiting or under_way:
+                room = self._capacity() + _AHEAD - len(under_way)
+                for entry in [waiting.popleft() for _ in range(min(room, len(waiting)))]:
+                    under_way[self._executor.submit(entry, partial(self._count, entry))] = entry
+                done, _ = wait(under_way, timeout=_LOOK_SECONDS, return_when=FIRST_COMPLETED)
+                arrived = [future for future in under_way if future in done]
+                for future in sorted(
+                    arrived, key=lambda future: future.exception() is not None
+                ):  # lose none that is made
+                    entry = under_way.pop(future)
+                    try:
+                        keeper.submit(self._keep, entry, future.result()).result()
+                    except RendererCrashedError as error:
+                        self._begin_again(entry, error)
+                        waiting.append(entry)
 
-    def _stop(self) -> None:
-        self._stopping.set()
+    def _capacity(self) -> int:
+        capacity = self._executor.capacity()
+        if capacity == 0 and self._has_workers:
+            self._tell(WorkersGone())
+        self._has_workers = capacity > 0
+        return capacity
+
+    def _count(self, entry: ShardEntry, made: int) -> None:
         with self._lock:
-            for renderer in self._renderers:
-                renderer.close()
+            more = made - self._counted[entry.file]
+            if more > 0:
+                self._counted[entry.file] = made
+                self._on_event(ImagesMade(more))
 
-    def _work(self) -> None:
-        """Make shards until none is left, with a new renderer after one that crashed."""
-        while not (self._stopping.is_set() or self._queue.empty()):
-            with self._open_renderer() as renderer:
-                with self._lock:
-                    self._renderers.append(renderer)
-                versions = software_versions(renderer)  # waits for it to start
-                with self._lock:
-                    self._prepare_folder(versions)
-                self._work_with(renderer)
-
-    def _work_with(self, renderer: Renderer) -> None:
-        """Make shards until none is left or the renderer crashes; its shard is then begun again."""
-        while not self._stopping.is_set():
-            try:
-                entry = self._queue.get_nowait()
-            except Empty:
-                return
-            on_image = partial(self._image_done, entry, count(1))
-            try:
-                shard = make_shard(self._plan, entry, renderer, on_image, self._visibility)
-            except RendererCrashedError as error:
-                self._begin_again(entry, error)
-                return
-            self._keep(entry, shard)
+    def _tell(self, event: ShardFinished | ShardBegunAgain | WorkersGone) -> None:
+        with self._lock:
+            self._on_event(event)
 
     def _begin_again(self, entry: ShardEntry, error: RendererCrashedError) -> None:
-        """Put a shard back, unless it has crashed renderers too often, or all work is to stop."""
-        with self._lock:
-            self._crashes[entry.file] += 1
-            if self._stopping.is_set() or self._crashes[entry.file] > MAX_CRASHES_PER_SHARD:
-                raise error
-            self._on_crash(entry.file, error)
-        self._queue.put(entry)
+        """Take note of a crash; refuse to go on with a shard that has had too many."""
+        self._crashes[entry.file] += 1
+        if self._crashes[entry.file] > MAX_CRASHES_PER_SHARD:
+            raise type(error)(
+                f"{entry.file}: {self._crashes[entry.file]} workers were lost while they made it, and it is given up. "
+                f"The last: {error}\nFinished shards are kept: the same command goes on from there. "
+                "`symsol-annot doctor` tells what Blender may be missing here."
+            )
+        self._tell(ShardBegunAgain(entry.file, error.worker, self._crashes[entry.file], str(error)))
 
-    def _prepare_folder(self, versions: dict[str, str]) -> None:
-        """Take the folder and write the manifest before the first shard, but only once there is a renderer for it."""
-        if self._is_prepared:
-            return
-        make_folder(self._folder)
-        self._held.enter_context(locked(self._folder))
-        self._manifest = _open_set(self._plan, self._folder)  # again: another process may have come first
-        _check_same_software(self._folder, self._manifest, versions)
-        remove_partial_files(self._folder)
-        write_manifest(self._folder, self._manifest)
-        self._is_prepared = True
-
-    def _image_done(self, entry: ShardEntry, numbers: Iterator[int]) -> None:
-        """Count an image, unless it was counted before the renderer crashed."""
-        if self._stopping.is_set():
-            raise _StoppedError
-        number = next(numbers)
-        with self._lock:
-            if number > self._counted[entry.file]:
-                self._counted[entry.file] = number
-                self._on_image()
-
-    def _keep(self, entry: ShardEntry, shard: ShardFile) -> None:
-        sha256 = hashlib.sha256(shard.data).hexdigest()
-        if entry.is_finished and sha256 != entry.sha256:
+    def _keep(self, entry: ShardEntry, made: MadeShard) -> None:
+        """Check a shard on its arrival, and put it into the folder."""
+        path = self._folder / entry.file
+        self._check_arrival(entry, made)
+        self._prepare_folder()
+        if entry.is_finished and made.sha256 != entry.sha256:
             raise DataError(
-                f"{self._folder / entry.file}: made again, its SHA-256 is {sha256}, not {entry.sha256} as the manifest "
-                "says: other software made the set. Fetch the shard again, or render the set anew"
+                f"{path}: made again, its SHA-256 is {made.sha256}, not {entry.sha256} as the manifest says: other "
+                "software made the set. Fetch the shard again, or render the set anew"
             )
-        write_atomically(self._folder / entry.file, shard.data)
-        with self._lock:
-            self._manifest = self._manifest.with_finished(
-                replace(entry, bytes=len(shard.data), sha256=sha256, content_sha256=shard.content_sha256)
+        if self._is_to_be_written(entry, made):
+            write_atomically(path, made.data)
+        self._manifest = self._manifest.with_finished(
+            replace(entry, bytes=len(made.data), sha256=made.sha256, content_sha256=made.content_sha256)
+        )
+        write_manifest(self._folder, self._manifest)
+        self._count(entry, entry.images)
+        self._tell(ShardFinished(entry.file, entry.images, made.worker))
+
+    def _is_to_be_written(self, entry: ShardEntry, made: MadeShard) -> bool:
+        """Tell whether the folder lacks a shard that arrived; a killed run may have left it, not yet listed."""
+        path = self._folder / entry.file
+        if not path.exists():
+            return True
+        if file_sha256(path) == made.sha256:
+            return False
+        if not (self._repair or entry.is_finished):
+            raise DataError(
+                f"{path}: is there already, unknown to the manifest and other than this set's shard. It is left as it "
+                "is; move it elsewhere, or give --repair to replace it"
             )
+        return True
+
+    def _check_arrival(self, entry: ShardEntry, made: MadeShard) -> None:
+        """Refuse a shard that is not the one asked for, or made with other software than the set's others.
+
+        Raises:
+            DataError: its bytes are not those that were made, or not of this shard.
+            DifferentSetError: other software would make other bytes.
+        """
+        where = f"{entry.file}, as it arrived from {made.worker or 'its worker'}"
+        if hashlib.sha256(made.data).hexdigest() != made.sha256:
+            raise DataError(f"{where}: its bytes are not those that were made; the same command makes it again")
+        with open_shard(Path(entry.file), io.BytesIO(made.data)) as shard:
+            wrong = header_mismatches(shard, self._manifest.expected_attributes(entry))
+            if len(shard["rotation"]) != entry.images:
+                wrong.append(f"expected {entry.images} images, found {len(shard['rotation'])}")
+            if wrong:
+                raise DataError(f"{where}: is another shard: {'; '.join(wrong)}")
+            self._check_software(made, versions_of(shard))
+
+    def _check_software(self, made: MadeShard, versions: dict[str, str]) -> None:
+        if not self._versions:
+            there = self._versions_there()
+            if there and _differences(there, versions):
+                raise DifferentSetError(str(self._folder), _differences(there, versions))
+            self._versions, self._first_worker = versions, made.worker
+        elif _differences(self._versions, versions):
+            raise ClusterError(
+                f"{made.worker} makes shards with other software than {self._first_worker}, so their bytes would "
+                f"differ ({'; '.join(_differences(self._versions, versions))}). Give all workers the same environment; "
+                "finished shards are kept, and the same command goes on"
+            )
+
+    def _versions_there(self) -> dict[str, str] | None:
+        """Return the software that a shard of the folder was made with; None where there is none yet."""
+        for entry in self._manifest.shards:
+            if entry.is_finished and _is_whole(self._folder, entry):
+                with open_shard(self._folder / entry.file) as shard:
+                    return versions_of(shard)
+        return None
+
+    def _prepare_folder(self) -> None:
+        """Write the manifest before the first shard, but only once there is one."""
+        if not self._is_prepared:
+            remove_partial_files(self._folder)
             write_manifest(self._folder, self._manifest)
-
-
-class _StoppedError(Exception):
-    """Another worker failed, or the user pressed Ctrl-C."""
-
-
-def make_shard(
-    plan: SetPlan,
-    entry: ShardEntry,
-    renderer: Renderer,
-    on_image: OnImage,
-    visibility: MarkingVisibility | None = None,
-) -> ShardFile:
-    """Draw and annotate the images of one shard."""
-    spec = plan.spec
-    header = ShardHeader(
-        object=spec.name,
-        object_sha256=spec.digest,
-        split=entry.split,
-        first_index=entry.first_index,
-        seed=plan.seed,
-        camera=plan.camera.to_dict(),
-        render=plan.settings.to_dict(),
-        tolerance_px=spec.marking.tolerance_px if spec.marking else np.nan,
-        versions=software_versions(renderer),
-    )
-    annotated = plan.manifest().is_annotated(entry.split)
-    writer = ShardWriter(header, entry.images, spec.symmetry_group, annotated=annotated)
-    candidates = within_tolerance = 0
-    try:
-        for index in range(entry.first_index, entry.first_index + entry.images):
-            R_gt = label_rotation(plan.seed, spec.name, entry.split, index)
-            view = renderer.render(R_gt)
-            pixels = marking_pixels(spec, R_gt, view.marking_pixels, renderer, visibility)
-            mask = None
-            if annotated:
-                annotation = annotate(spec, R_gt, pixels, renderer, visibility)
-                mask, drawn = annotation.mask, annotation.candidate_pixels
-                candidates += int(np.count_nonzero(np.isfinite(drawn)))
-                within_tolerance += int(np.count_nonzero((drawn > 0) & ~is_shown(spec, drawn)))
-            writer.add(ImageRecord(view, R_gt, pixels, mask))
-            on_image()
-        return writer.finish({"candidates_drawn": candidates, "candidates_within_tolerance": within_tolerance})
-    finally:
-        writer.close()
-
-
-def software_versions(renderer: Renderer) -> dict[str, str]:
-    """Return the software that decides a shard's bytes: name to version."""
-    return {"symsol-annot": __version__, **storage_versions(), **renderer.versions}
+            self._is_prepared = True

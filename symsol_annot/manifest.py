@@ -87,6 +87,11 @@ class Manifest:
         """The SHA-256 over object, seed, camera and contents of a finished set; None before."""
         return self._digest(self.shards) if self.is_finished else None
 
+    @property
+    def plan_sha256(self) -> str:
+        """The SHA-256 of what the set is to be, the same before and after it is made."""
+        return _sha256_of_json([self.recipe, [[shard.file, shard.first_index, shard.images] for shard in self.shards]])
+
     def split_fingerprint(self, split: str) -> str | None:
         """Return the same over one split alone, so that it does not depend on whether the other was rendered."""
         shards = self.of_split(split)
@@ -166,8 +171,13 @@ def read_manifest(folder: Path) -> Manifest:
         raise DataError(f"{path}: cannot be read as JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != MANIFEST_FORMAT:
         raise DataError(f"{path}: is no manifest of a set ('format' is not {MANIFEST_FORMAT!r})")
-    if document.get("format_version") != MANIFEST_FORMAT_VERSION:
-        found = document.get("format_version")
+    found = document.get("format_version")
+    if type(found) is int and found > MANIFEST_FORMAT_VERSION:
+        raise DataError(
+            f"{path}: is of format version {found}, newer than {MANIFEST_FORMAT_VERSION}, which this symsol-annot "
+            "reads: update it"
+        )
+    if found != MANIFEST_FORMAT_VERSION:
         raise DataError(f"{path}: this version reads format_version {MANIFEST_FORMAT_VERSION}, found {found!r}")
     try:
         manifest = _from_document(document)
@@ -240,9 +250,9 @@ def _check_types(manifest: Manifest) -> None:
     fields += [(recipe["camera"][name], int) for name in ("width", "height")]
     fields += [(recipe["camera"][name], float) for name in ("distance", "focal_px")]
     for split in SPLITS:
-        following = 0
-        for number, shard in enumerate(manifest.of_split(split)):
-            name = f"{split}-{number:05d}-of-{len(manifest.of_split(split)):05d}.h5"
+        following, shards = 0, manifest.of_split(split)
+        for number, shard in enumerate(shards):
+            name = f"{split}-{number:05d}-of-{len(shards):05d}.h5"
             if shard.file != name or shard.first_index != following or shard.images < 1:
                 raise ValueError(f"{shard.file!r} does not follow on the shard before it")
             following += shard.images

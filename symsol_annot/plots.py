@@ -1,6 +1,5 @@
 """Pictures of images, segmentations and symmetry sets (figures 2.1 and 5.3)."""
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from symsol_annot.canvas import new_figure, write_png
 from symsol_annot.dataset import Sample
-from symsol_annot.errors import SymsolError
-from symsol_annot.files import write_atomically
 from symsol_annot.so3 import Rotations
 
 ID_COLOURS = np.array([[0, 0, 0], [140, 30, 30], [240, 128, 128]], dtype=np.uint8)  # as in figure 5.2
@@ -33,9 +31,8 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
         OutputError: the file cannot be written.
         SymsolError: matplotlib is not installed.
     """
-    figure_class = _figure_class()
     rows = -(-len(samples) // columns)
-    figure = figure_class(figsize=(3 * _COLUMN_INCHES * columns, (_COLUMN_INCHES + 0.3) * rows), layout="constrained")
+    figure = new_figure(figsize=(3 * _COLUMN_INCHES * columns, (_COLUMN_INCHES + 0.3) * rows), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.02, h_pad=0.03, wspace=0.0, hspace=0.0)
     for number, sample in enumerate(samples):
         row, column = divmod(number, columns)
@@ -47,9 +44,7 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
             ball = figure.add_subplot(*places[2], projection="3d")
             draw_pi_ball(ball, sample.symmetry_set, sample.rotation)
             ball.set_title(f"|S| = {len(sample.symmetry_set)}", fontsize=8, pad=0)
-    png = io.BytesIO()
-    figure.savefig(png, format="png", dpi=100)
-    write_atomically(path, png.getvalue())
+    write_png(figure, path)
 
 
 def draw_pi_ball(axes: Any, rotations: Rotations, R_gt: Rotations | None = None) -> None:
@@ -96,18 +91,3 @@ def _marking_caption(sample: Sample) -> str:
     if sample.marking_visible:
         return f"marking shows, {sample.marking_pixels:.4g} px"
     return "marking hidden" if sample.marking_pixels == 0 else f"hidden, {sample.marking_pixels:.4g} px"
-
-
-def _figure_class() -> Any:
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SymsolError("plots need matplotlib, which is not installed: `pip install 'symsol-annot[plot]'`") from None
-
-    def make(**options: Any) -> Any:
-        figure = Figure(**options)
-        FigureCanvasAgg(figure)
-        return figure
-
-    return make

@@ -5,6 +5,7 @@ ordinary error, and its bytes depend on nothing but its contents and the librari
 """
 
 import hashlib
+import io
 import json
 import math
 import uuid
@@ -199,17 +200,16 @@ def _store(dataset: h5py.Dataset, row: int, values: npt.NDArray[Any]) -> bytes:
     return chunk
 
 
-def read_versions(path: Path) -> dict[str, str]:
-    """Return the software that a shard was made with: name to version.
+def versions_of(shard: h5py.File) -> dict[str, str]:
+    """Return the software that an open shard was made with: name to version.
 
     Raises:
-        DataError: the shard cannot be read.
+        DataError: the attribute is no JSON object.
     """
-    with open_shard(path) as shard:
-        try:
-            return dict(json.loads(shard.attrs["versions"]))
-        except (TypeError, ValueError) as error:
-            raise DataError(f"{path}: attribute 'versions' is no JSON object: {error}") from None
+    try:
+        return dict(json.loads(shard.attrs["versions"]))
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{shard.filename}: attribute 'versions' is no JSON object: {error}") from None
 
 
 def storage_versions() -> dict[str, str]:
@@ -235,32 +235,27 @@ def _content_heading(dataset: h5py.Dataset) -> bytes:
 
 
 @contextmanager
-def open_shard(path: Path) -> Iterator[h5py.File]:
+def open_shard(path: Path, in_memory: io.BytesIO | None = None) -> Iterator[h5py.File]:
     """Open a shard for reading after checking that it holds what the format says and nothing else.
+
+    Args:
+        path: its place, or where it will be.
+        in_memory: its bytes, where it is not on disk yet.
 
     Raises:
         DataError: the file is missing, is no HDF5, or is no shard; the message lists every fault.
     """
-    file = open_shard_file(path)
     try:
-        yield file
-    finally:
-        file.close()
-
-
-def open_shard_file(path: Path) -> h5py.File:
-    """Do as `open_shard`; the caller closes the file."""
-    try:
-        if not path.is_file():
+        if in_memory is None and not path.is_file():
             raise DataError(f"{path}: {'is no regular file' if path.exists() else 'no such shard'}")
-        file = h5py.File(path, "r")
+        file = h5py.File(in_memory or path, "r")
     except OSError as error:
         raise DataError(f"{path}: cannot be read as HDF5: {error}") from None
-    faults = _structure_faults(file)
-    if faults:
-        file.close()
-        raise DataError(f"{path}: is no valid shard:\n" + "\n".join(f"  - {fault}" for fault in faults))
-    return file
+    with file:
+        faults = _structure_faults(file)
+        if faults:
+            raise DataError(f"{path}: is no valid shard:\n" + "\n".join(f"  - {fault}" for fault in faults))
+        yield file
 
 
 def header_mismatches(file: h5py.File, expected: dict[str, Any]) -> list[str]:
@@ -296,6 +291,10 @@ def _format_faults(file: h5py.File) -> list[str]:
     for name, expected in (("format", SHARD_FORMAT), ("format_version", SHARD_FORMAT_VERSION)):
         found = file.attrs.get(name)
         if not isinstance(found, _ATTRIBUTES[name]) or found != expected:
+            if name == "format_version" and isinstance(found, np.integer) and found > expected:
+                return [
+                    f"is of format version {found}, newer than {expected}, which this symsol-annot reads: update it"
+                ]
             return [f"attribute {name!r}: this version reads {expected}, found {found}"]
     return []
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import make_plan, make_set
+from conftest import make_plan, make_set, threads
 from numpy_renderer import NumpyRenderer
 from oracle import CAMERA_DISTANCE, CYLINDER_RADIUS, DISC_RADIUS, DISC_Z, FILLED
 
@@ -55,7 +55,7 @@ def small_set(folder, name, images=24, seed=0):
     """Make a test split of tetX or cylO in a folder of sets, and open it."""
     if name == "cylO":
         plan = make_plan(name, test=images, size=SIZE, seed=seed)
-        generate(plan, folder / name, partial(DiscRenderer, SIZE), exhaustive=True)
+        generate(plan, folder / name, threads(partial(DiscRenderer, SIZE), exhaustive=True))
     else:
         make_set(folder, name, test=images, size=SIZE, seed=seed)
     return load(folder / name)

@@ -12,8 +12,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 from numpy_renderer import NumpyRenderer
 
 from symsol_annot.annotate import marking_pixels
-from symsol_annot.generate import SetPlan, generate
+from symsol_annot.events import ImagesMade, Started
+from symsol_annot.executors import in_process
+from symsol_annot.generate import generate
 from symsol_annot.objects import load_object
+from symsol_annot.plan import SetPlan
 from symsol_annot.scene import Camera, RenderSettings
 
 SIZE = 32
@@ -30,10 +33,26 @@ def pixels_of(spec, R, renderer):
     return marking_pixels(spec, R, float(renderer.marking_pixels(R[None])[0]), renderer) if spec.marking else 0.0
 
 
+def threads(open_renderer, workers=1, *, exhaustive=False):
+    """Who makes the shards in most tests: threads of this process, each with a renderer."""
+    return partial(in_process, open_renderer=open_renderer, workers=workers, exhaustive=exhaustive)
+
+
+def on_images(call):
+    """From what is to be called for each image to what is told of events."""
+
+    def on_event(event):
+        count = {Started: "images_there", ImagesMade: "images"}.get(type(event))
+        for _ in range(getattr(event, count) if count else 0):
+            call()
+
+    return on_event
+
+
 def make_set(folder, name="tetX", workers=1, **plan):
     """Make a set with the numpy renderer; the folder of the set is returned."""
     made = make_plan(name, **plan)
-    generate(made, folder / name, partial(NumpyRenderer, name, made.camera.width), workers)
+    generate(made, folder / name, threads(partial(NumpyRenderer, name, made.camera.width), workers=workers))
     return folder / name
 
 

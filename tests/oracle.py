@@ -94,3 +94,15 @@ def boundary(ids):
     padded = np.pad(ids, 1, mode="edge")
     shifted = [padded[i : i + ids.shape[0], j : j + ids.shape[1]] for i in range(3) for j in range(3)]
     return np.max(shifted, axis=0) != np.min(shifted, axis=0)
+
+
+def fray_deg(circle):
+    """Return how many steps beyond its longest run of members a circle (360,) still has members; 0 for an arc."""
+    if circle.all() or not circle.any():
+        return 0
+    starts = np.flatnonzero(circle & ~np.roll(circle, 1))
+    lengths = [int(np.argmin(np.roll(circle, -start))) for start in starts]
+    length = max(lengths)
+    turned = np.roll(circle, -starts[np.argmax(lengths)])  # begins with the longest run
+    beyond = np.flatnonzero(turned)[length:]
+    return int(np.minimum(beyond - (length - 1), 360 - beyond).max(initial=0))

@@ -16,6 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import dask_cluster
 import perf_annotation
 import perf_loading
 import perf_sets
@@ -47,7 +48,7 @@ def machine():
 
 def measure(*, quick):
     """Take all measurements; see docs/performance.md for what each means."""
-    images, rounds, views, counts = (40, 1, 4, (50, 200)) if quick else (200, 5, 30, (500, 5000))
+    images, rounds, views, counts = (80, 1, 4, (50, 200)) if quick else (320, 5, 30, (500, 5000))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         found = {
@@ -98,6 +99,11 @@ def growth(folder, images, rounds, counts):
     for _ in range(rounds):
         for way, (processes, annotate) in ways.items():
             runs[way].append(perf_sets.make(NAME, images, processes, annotate))
+    with dask_cluster.scheduler(folder) as address, dask_cluster.workers(folder, address, PROCESSES):
+        for _ in range(rounds):
+            for way, cluster in ((f"{counts[0]} images, local", None), (f"{counts[0]} images, Dask", address)):
+                made = perf_sets.make(NAME, counts[0], PROCESSES, "all", cluster=cluster)
+                runs.setdefault(way, []).append(made)
     for count in counts:
         runs[f"all sets, {count} images"] = [perf_sets.make(NAME, count, PROCESSES, "all", folder / str(count))]
     return runs
@@ -120,11 +126,12 @@ def table(found):
     lines += ["", "| loading a sample | ms | times faster than PNG |", "|---|---|---|"]
     for way, ms in found["loading"]["ms_a_sample"].items():
         lines.append(f"| {way} | {ms:.3f} | {found['loading']['times_faster_than_png'][way]:.1f} |")
-    lines += ["", "| growth | pairs a second | peak MiB: parent, Blender |", "|---|---|---|"]
+    lines += ["", "| growth | pairs a second | s with start-up | peak MiB: parent, Blender |", "|---|---|---|---|"]
     for kind, runs in found["growth"].items():
         rate = statistics.median(run["pairs_per_second"] for run in runs)
         peaks = (max(run[key] for run in runs) for key in ("parent_mib", "blender_mib"))
-        lines.append(f"| {kind} | {rate:.1f} | {', '.join(map(str, peaks))} |")
+        seconds = statistics.median(run["seconds_with_start"] for run in runs)
+        lines.append(f"| {kind} | {rate:.1f} | {seconds:.1f} | {', '.join(map(str, peaks))} |")
     lines += ["", "| loading by load() | samples a second | peak MiB of a process |", "|---|---|---|"]
     for kind, runs in found["loading_growth"].items():
         rate = statistics.median(run["samples_per_second"] for run in runs)

@@ -4,8 +4,8 @@ import statistics
 import time
 
 from symsol_annot.annotate import annotate, marking_pixels
-from symsol_annot.generate import label_rotation
 from symsol_annot.objects import load_object
+from symsol_annot.plan import label_rotation
 from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.visibility import MarkingVisibility

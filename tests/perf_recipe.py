@@ -22,8 +22,8 @@ import h5py
 import numpy as np
 from PIL import Image
 
-from symsol_annot.generate import label_rotation
 from symsol_annot.objects import load_object
+from symsol_annot.plan import label_rotation
 from symsol_annot.scene import Camera, RenderSettings
 
 SIZE, SAMPLES = 224, 16

@@ -25,8 +25,10 @@ from symsol_annot.bench.scorers import HypothesesScorer
 from symsol_annot.bench.scoring import table_of
 from symsol_annot.bench.submission import write_columns, write_hypotheses
 from symsol_annot.bench.truth import truth_of
-from symsol_annot.generate import SetPlan, generate
+from symsol_annot.executors import in_process
+from symsol_annot.generate import generate
 from symsol_annot.objects import load_object
+from symsol_annot.plan import SetPlan
 from symsol_annot.scene import Camera, RenderSettings, View
 from symsol_annot.so3 import uniform_rotations
 
@@ -90,7 +92,9 @@ def make_set(data, images):
     """Make the set and return it."""
     spec, camera = load_object("cylO"), Camera.filling(SIZE)
     plan = SetPlan(spec, {"train": 0, "test": images}, 0, camera, RenderSettings(), "test")
-    generate(plan, data / "cylO", partial(FacingRenderer, spec, camera), exhaustive=True)
+    generate(
+        plan, data / "cylO", partial(in_process, open_renderer=partial(FacingRenderer, spec, camera), exhaustive=True)
+    )
     return load(data / "cylO")
 
 

@@ -12,8 +12,8 @@ import time
 
 from symsol_annot.blender import BlenderRenderer, _Window
 from symsol_annot.frames import pixel_averages
-from symsol_annot.generate import label_rotation
 from symsol_annot.objects import load_object
+from symsol_annot.plan import label_rotation
 from symsol_annot.scene import Camera, RenderSettings
 
 WARM_UP = 5

@@ -19,8 +19,8 @@ import numpy as np
 from tqdm import tqdm
 
 from symsol_annot.annotate import annotate, is_shown, marking_pixels
-from symsol_annot.generate import label_rotation
 from symsol_annot.objects import load_object
+from symsol_annot.plan import label_rotation
 from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import DEFAULT_SIZE, Camera, RenderSettings
 from symsol_annot.so3 import rotations_about, uniform_rotations

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from conftest import pixels_of
 from numpy_renderer import NumpyRenderer
-from oracle import cast
-from soak import fray_deg
+from oracle import cast, fray_deg
 
 from symsol_annot.annotate import annotate, is_shown
 from symsol_annot.objects import load_object

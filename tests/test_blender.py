@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from oracle import DISC_Z, boundary, cast, cast_samples
 
-from symsol_annot.generate import label_rotation
 from symsol_annot.objects import builtin_names, load_object
+from symsol_annot.plan import label_rotation
 from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.so3 import uniform_rotations

@@ -190,7 +190,7 @@ def test_a_terminal_sees_a_bar_with_rate_and_time_left(tmp_path):
         os.close(theirs)
         shown = read_to_the_end(ours).decode()
     assert process.returncode == 0
-    assert re.search(r"tetX:\s+\d+%\|.*\| \d+/20 \[\d\d:\d\d<\d\d:\d\d, +[\d.]+(image/s|s/image)\]", shown)
+    assert re.search(r"tetX:\s+\d+%\|.*\| \d+/20 \[\d\d:\d\d<\d\d:\d\d, +[\d.]+(image/s|s/image), \d/2 shards\]", shown)
     assert "20/20" in shown
     assert not re.search(r"Saved|Fra:|Time:|EGL", shown)
 

@@ -18,7 +18,7 @@ from conftest import make_set
 
 import symsol_annot
 from symsol_annot import dataset as dataset_module
-from symsol_annot import generate as generate_module
+from symsol_annot import plan as plan_module
 from symsol_annot.dataset import Sample, load
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.manifest import read_manifest, write_manifest
@@ -261,16 +261,16 @@ def test_access_opens_only_the_shard_that_holds_the_sample(tetX_set):
 
 
 def test_no_more_files_are_open_than_the_cap_and_none_after_close(tmp_path, monkeypatch):
-    monkeypatch.setattr(generate_module, "MAX_IMAGES_PER_SHARD", 2)
+    monkeypatch.setattr(plan_module, "MAX_IMAGES_PER_SHARD", 2)
     folder = make_set(tmp_path, "tet", test=24, size=16)
     dataset, most = load(folder), 0
-    assert len(list(folder.glob("*.h5"))) == 12 > dataset_module._MAX_OPEN_SHARDS
+    assert len(list(folder.glob("*.h5"))) == 12 > dataset_module.MAX_OPEN_SHARDS
     order = list(range(24)) * 2
     random.Random(0).shuffle(order)
     for index in order:
         assert dataset[index].index == index
         most = max(most, open_shards(folder))
-    assert most == dataset_module._MAX_OPEN_SHARDS
+    assert most == dataset_module.MAX_OPEN_SHARDS
     dataset.close()
     assert open_shards(folder) == 0
     assert dataset[23].index == 23
@@ -279,14 +279,14 @@ def test_no_more_files_are_open_than_the_cap_and_none_after_close(tmp_path, monk
 
 @pytest.mark.parametrize("cap", [1, 2, 8])
 def test_shard_is_opened_by_hdf5_once(tetX_set, opened, monkeypatch, cap):
-    monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", cap)
+    monkeypatch.setattr(dataset_module, "MAX_OPEN_SHARDS", cap)
     dataset = load(tetX_set)
     assert indices(dataset) + indices(dataset) == list(range(TEST_IMAGES)) * 2
     assert opened == ALL_TEST_SHARDS
 
 
 def test_shard_that_was_used_last_stays_open(tetX_set, monkeypatch):
-    monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", 2)
+    monkeypatch.setattr(dataset_module, "MAX_OPEN_SHARDS", 2)
     dataset = load(tetX_set)
     for index in (0, 16, 1, 32, 2):
         assert dataset[index].index == index
@@ -310,7 +310,7 @@ def test_samples_arrays_may_be_written_to_and_the_next_sample_is_as_before(tetX_
 
 @pytest.mark.parametrize("cap", [1, 2])
 def test_threads_read_the_same_while_they_take_each_others_files_away(tetX_set, monkeypatch, cap):
-    monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", cap)
+    monkeypatch.setattr(dataset_module, "MAX_OPEN_SHARDS", cap)
     dataset, expected = load(tetX_set), expected_samples(tetX_set)
 
     def read_all(seed):
@@ -327,7 +327,7 @@ def test_threads_read_the_same_while_they_take_each_others_files_away(tetX_set, 
 
 
 def test_shard_that_was_replaced_after_its_first_use_is_an_error_and_never_a_sample(tetX_set, monkeypatch):
-    monkeypatch.setattr(dataset_module, "_MAX_OPEN_SHARDS", 1)
+    monkeypatch.setattr(dataset_module, "MAX_OPEN_SHARDS", 1)
     dataset, expected = load(tetX_set), expected_samples(tetX_set)
     assert dataset[0].index == 0
     path = tetX_set / "test-00000-of-00003.h5"

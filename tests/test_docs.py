@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import subprocess
+import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -66,6 +68,25 @@ def test_the_readme_example_runs(tmp_path, monkeypatch, capsys):
     names = {}
     exec(code_blocks("README.md", "python")[0], names)
     assert names["sample"].symmetry_set.shape[1:] == (3, 3)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")  # on a machine of one core
+def test_the_examples_of_the_loading_page_read_every_image(tmp_path, monkeypatch):
+    folder = make_set(tmp_path / "data", "tetX", train=20, test=0, annotate="all")
+    folder.rename(tmp_path / "data" / "cylO")
+    monkeypatch.chdir(tmp_path)
+    *blocks, processes = code_blocks("docs/loading.md", "python")
+    names = {"images": []}
+    for block in blocks:
+        exec(block.replace('batch["image"]', 'images.extend(batch["image"])').replace("range(10)", "range(2)"), names)
+    assert {tuple(image.shape) for image in names["images"]} == {(32, 32, 3)}
+    assert len(names["images"]) == 3 * 2 * 20  # loops, epochs
+    assert sorted(names["order"]) == sorted(sample.index for sample in names["part"])
+    Path("script.py").write_text(processes)
+    done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, check=True)
+    means = [sample.image.mean() for sample in symsol_annot.load("data/cylO", "train")]
+    assert np.mean(eval(done.stdout)) == pytest.approx(np.mean(means))
 
 
 def test_the_projection_of_the_conventions_page_is_the_cameras():

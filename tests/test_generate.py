@@ -20,7 +20,7 @@ import numpy as np
 import numpy_renderer
 import oracle
 import pytest
-from conftest import make_plan, make_set
+from conftest import make_plan, make_set, on_images, threads
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy_renderer import NumpyRenderer
@@ -30,8 +30,9 @@ from symsol_annot import files
 from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, DifferentSetError, OutputError, RenderError, SettingsError
 from symsol_annot.files import locked
-from symsol_annot.generate import generate, label_rotation
+from symsol_annot.generate import generate
 from symsol_annot.manifest import read_manifest, write_manifest
+from symsol_annot.plan import label_rotation
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.verify import verify
 
@@ -84,8 +85,8 @@ def state(folder):
 
 def assert_only_whole_shards(folder, undisturbed):
     """Every shard is the one that an undisturbed run makes, and no half of anything lies beside them."""
-    there = contents(folder)
-    manifest = there.pop("manifest.json")
+    there = contents(folder) if folder.exists() else {}
+    manifest = there.pop("manifest.json", None)
     expected = contents(undisturbed)
     assert set(there) <= set(expected)
     assert [name for name, data in there.items() if data != expected[name]] == []
@@ -113,7 +114,7 @@ def _drawn_once():
 def undisturbed(tmp_path_factory):
     """The small plan's set, made in one go; not to be written to."""
     folder = tmp_path_factory.mktemp("undisturbed") / "tet"
-    generate(small_plan(), folder, Opener())
+    generate(small_plan(), folder, threads(Opener()))
     return folder
 
 
@@ -121,7 +122,9 @@ def undisturbed(tmp_path_factory):
 def _half(tmp_path_factory):
     folder = tmp_path_factory.mktemp("half") / "tet"
     with pytest.raises(RenderError):
-        generate(small_plan(), folder, Opener(on_frame=failing_at(2 * PER_SHARD + 1, RenderError("the lamp broke"))))
+        generate(
+            small_plan(), folder, threads(Opener(on_frame=failing_at(2 * PER_SHARD + 1, RenderError("the lamp broke"))))
+        )
     return folder
 
 
@@ -134,8 +137,8 @@ def half(_half, tmp_path):
 @pytest.mark.parametrize("workers", [2, 3])
 def test_bytes_do_not_depend_on_the_number_of_workers(tmp_path, workers):
     plan = small_plan("tetX", train=20, test=20)
-    generate(plan, tmp_path / "one", Opener("tetX"))
-    generate(plan, tmp_path / "more", Opener("tetX"), workers)
+    generate(plan, tmp_path / "one", threads(Opener("tetX")))
+    generate(plan, tmp_path / "more", threads(Opener("tetX"), workers=workers))
     assert contents(tmp_path / "more") == contents(tmp_path / "one")
 
 
@@ -148,14 +151,14 @@ def test_bytes_do_not_depend_on_the_order_of_work(tmp_path, undisturbed):
         elif frame == IMAGES - PER_SHARD:
             others_are_made.set()
 
-    generate(small_plan(), tmp_path / "tet", Opener(on_frame=on_frame), workers=2)
+    generate(small_plan(), tmp_path / "tet", threads(Opener(on_frame=on_frame), workers=2))
     assert contents(tmp_path / "tet") == contents(undisturbed)
 
 
 def test_a_prefix_does_not_depend_on_how_many_images_follow(tmp_path):
     few, many = 20, 150  # also divided into shards in another way
     for count in (few, many):
-        generate(small_plan(test=count), tmp_path / str(count), Opener())
+        generate(small_plan(test=count), tmp_path / str(count), threads(Opener()))
     for small, large in zip(load(tmp_path / str(few)), load(tmp_path / str(many)), strict=False):
         np.testing.assert_array_equal(small.image, large.image)
         np.testing.assert_array_equal(small.segmentation, large.segmentation)
@@ -221,7 +224,7 @@ def test_labels_are_uniform_on_so3():
 def test_same_command_again_makes_nothing_new(tmp_path, undisturbed):
     folder = Path(shutil.copytree(undisturbed, tmp_path / "tet"))
     before = state(folder)
-    manifest = generate(small_plan(), folder, unopened, workers=3)
+    manifest = generate(small_plan(), folder, threads(unopened, workers=3))
     assert manifest == read_manifest(undisturbed)
     assert state(folder) == before
 
@@ -230,12 +233,12 @@ def test_same_command_again_makes_nothing_new(tmp_path, undisturbed):
 def test_run_that_failed_is_continued_to_the_bytes_of_an_undisturbed_one(tmp_path, undisturbed, frame):
     folder = tmp_path / "tet"
     with pytest.raises(RenderError, match="the lamp broke"):
-        generate(small_plan(), folder, Opener(on_frame=failing_at(frame, RenderError("the lamp broke"))))
+        generate(small_plan(), folder, threads(Opener(on_frame=failing_at(frame, RenderError("the lamp broke")))))
     assert_only_whole_shards(folder, undisturbed)
     kept = {path: path.stat().st_mtime_ns for path in folder.glob("*.h5")}
     assert len(kept) == (frame - 1) // PER_SHARD
     drawn = []
-    generate(small_plan(), folder, Opener(on_frame=lambda number, frame: drawn.append(frame)), workers=2)
+    generate(small_plan(), folder, threads(Opener(on_frame=lambda number, frame: drawn.append(frame)), workers=2))
     assert len(drawn) == IMAGES - len(kept) * PER_SHARD
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert contents(folder) == contents(undisturbed)
@@ -243,14 +246,14 @@ def test_run_that_failed_is_continued_to_the_bytes_of_an_undisturbed_one(tmp_pat
 
 def test_progress_counts_every_image_once_also_those_that_are_there_already(half):
     counted = []
-    generate(small_plan(), half, Opener(), workers=2, on_image=lambda: counted.append(1))
+    generate(small_plan(), half, threads(Opener(), workers=2), on_images(lambda: counted.append(1)))
     assert len(counted) == IMAGES
-    generate(small_plan(), half, unopened, on_image=lambda: counted.append(1))
+    generate(small_plan(), half, threads(unopened), on_images(lambda: counted.append(1)))
     assert len(counted) == 2 * IMAGES
 
 
 def test_returned_manifest_is_the_one_on_disk_and_finished(half):
-    manifest = generate(small_plan(), half, Opener())
+    manifest = generate(small_plan(), half, threads(Opener()))
     assert manifest == read_manifest(half)
     assert manifest.is_finished
 
@@ -258,7 +261,7 @@ def test_returned_manifest_is_the_one_on_disk_and_finished(half):
 def test_keyboard_interrupt_in_a_worker_leaves_whole_shards_and_stops_the_others(tmp_path, undisturbed):
     opener = Opener(on_frame=failing_at(PER_SHARD + 3, KeyboardInterrupt()))
     with pytest.raises(KeyboardInterrupt):
-        generate(small_plan(), tmp_path / "tet", opener, workers=2)
+        generate(small_plan(), tmp_path / "tet", threads(opener, workers=2))
     assert all(renderer.is_closed for renderer in opener.renderers)
     assert list((tmp_path / "tet").glob("*.h5"))
     assert_only_whole_shards(tmp_path / "tet", undisturbed)
@@ -268,7 +271,7 @@ ENDLESS_RUN = f"""
 import signal, sys, time
 from functools import partial
 from pathlib import Path
-from conftest import make_plan
+from conftest import make_plan, threads
 from numpy_renderer import NumpyRenderer
 from symsol_annot.generate import generate
 
@@ -282,7 +285,8 @@ class Stalling(NumpyRenderer):
         return super().render(R_m2c)
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job is born without
-generate(make_plan("tet", test={IMAGES}, size={SIZE}), Path(sys.argv[1]), partial(Stalling, "tet", {SIZE}), workers=2)
+plan = make_plan("tet", test={IMAGES}, size={SIZE})
+generate(plan, Path(sys.argv[1]), threads(partial(Stalling, "tet", {SIZE}), workers=2))
 """
 
 
@@ -307,7 +311,7 @@ def test_ctrl_c_leaves_whole_shards_from_which_the_same_call_goes_on(tmp_path, u
     assert said.rstrip().endswith("KeyboardInterrupt")
     assert 0 < len(list(folder.glob("*.h5"))) < IMAGES / PER_SHARD
     assert_only_whole_shards(folder, undisturbed)
-    generate(small_plan(), folder, Opener())
+    generate(small_plan(), folder, threads(Opener()))
     assert contents(folder) == contents(undisturbed)
 
 
@@ -324,7 +328,7 @@ def killed_at_write(plan, folder, moment):
         fsync(descriptor)
 
     files.os.fsync = lose
-    generate(plan, folder, Opener())
+    generate(plan, folder, threads(Opener()))
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
@@ -336,8 +340,8 @@ def test_set_whose_run_was_killed_at_any_write_is_continued_to_the_same_bytes(tm
     process.join(timeout=60)
     assert process.exitcode == -signal.SIGKILL
     assert len([path for path in killed.iterdir() if "partial" in path.name]) == (moment + 1) % 2
-    generate(plan, killed, Opener())
-    generate(plan, whole, Opener())
+    generate(plan, killed, threads(Opener()))
+    generate(plan, whole, threads(Opener()))
     assert contents(killed) == contents(whole)
 
 
@@ -351,7 +355,7 @@ def test_partial_files_of_a_killed_run_are_swept_and_nothing_else(tmp_path, half
             (folder / name).write_bytes(b"half of it")
         for name, data in strangers.items():
             (folder / name).write_bytes(data)
-        generate(small_plan(), folder, Opener())
+        generate(small_plan(), folder, threads(Opener()))
         shards = {entry.file for entry in read_manifest(folder).shards}
         assert set(contents(folder)) == {"manifest.json", *shards, *strangers}
 
@@ -374,7 +378,7 @@ def test_error_in_one_worker_stops_the_others_and_closes_all_renderers(tmp_path)
 
     opener = Opener(on_frame=on_frame)
     with pytest.raises(RenderError, match="the lamp broke"):
-        generate(small_plan(), tmp_path / "tet", opener, workers=3)
+        generate(small_plan(), tmp_path / "tet", threads(opener, workers=3))
     assert all(renderer.is_closed for renderer in opener.renderers)
     assert left_running == []
     assert len(late) == len(set(late)), "a worker drew on after the stop"
@@ -382,7 +386,7 @@ def test_error_in_one_worker_stops_the_others_and_closes_all_renderers(tmp_path)
 
 def test_renderers_are_closed_after_a_good_run_and_there_are_no_more_than_shards(tmp_path):
     opener = Opener()
-    generate(small_plan(), tmp_path / "tet", opener, workers=50)
+    generate(small_plan(), tmp_path / "tet", threads(opener, workers=50))
     assert 1 <= len(opener.renderers) <= IMAGES / PER_SHARD
     assert all(renderer.is_closed for renderer in opener.renderers)
 
@@ -392,7 +396,7 @@ def test_nothing_is_created_when_the_renderer_cannot_start(tmp_path):
         raise RenderError("no Blender here")
 
     with pytest.raises(RenderError, match="no Blender here"):
-        generate(small_plan(), tmp_path / "data" / "tet", broken, workers=2)
+        generate(small_plan(), tmp_path / "data" / "tet", threads(broken, workers=2))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -420,7 +424,7 @@ def test_folder_that_holds_another_set_is_refused_and_not_touched(undisturbed, h
     (half / ".test-00003-of-00004.h5.partial").write_bytes(b"half of it")
     before = state(folder)
     with pytest.raises(DifferentSetError) as refusal:
-        generate(plan, folder, unopened)
+        generate(plan, folder, threads(unopened))
     message = str(refusal.value)
     assert [word for word in [str(folder), "nothing was touched", "--out", *words] if word not in message] == []
     assert all(line in message for line in refusal.value.differences)
@@ -431,7 +435,7 @@ def test_shards_without_a_manifest_are_refused_and_not_touched(half):
     (half / "manifest.json").unlink()
     before = state(half)
     with pytest.raises(DifferentSetError, match=r"it holds test-00000-of-00004\.h5 without a manifest\.json"):
-        generate(small_plan(), half, unopened)
+        generate(small_plan(), half, threads(unopened))
     assert state(half) == before
 
 
@@ -440,7 +444,7 @@ def test_damaged_manifest_is_refused_and_not_touched(half):
     path.write_bytes(path.read_bytes()[:-2])
     before = state(half)
     with pytest.raises(DataError, match="manifest"):
-        generate(small_plan(), half, unopened)
+        generate(small_plan(), half, threads(unopened))
     assert state(half) == before
 
 
@@ -455,8 +459,8 @@ def test_damaged_finished_shards_are_refused_by_name_and_not_touched(half, damag
     for name in ("test-00000-of-00004.h5", "test-00001-of-00004.h5"):
         damage(half / name)
     before = state(half)
-    with pytest.raises(DataError, match=r"damaged: test-00000-of-00004\.h5, test-00001-of-00004\.h5\..*verify"):
-        generate(small_plan(), half, unopened)
+    with pytest.raises(DataError, match=r"damaged: test-00000-of-00004\.h5, test-00001-of-00004\.h5\..*--repair"):
+        generate(small_plan(), half, threads(unopened))
     assert state(half) == before
 
 
@@ -481,7 +485,7 @@ def test_settings_that_make_no_set_are_refused(change, words):
 
 @pytest.mark.parametrize(("annotate", "annotated"), [("test", {"test"}), ("all", {"train", "test"}), ("none", set())])
 def test_annotate_decides_which_splits_have_masks(tmp_path, annotate, annotated):
-    generate(small_plan(train=2, test=2, annotate=annotate), tmp_path / "tet", Opener())
+    generate(small_plan(train=2, test=2, annotate=annotate), tmp_path / "tet", threads(Opener()))
     found = set()
     for path in (tmp_path / "tet").glob("*.h5"):
         with h5py.File(path) as file:
@@ -504,7 +508,7 @@ UNPRIVILEGED_RUN = f"""
 import os, sys
 from functools import partial
 from pathlib import Path
-from conftest import make_plan
+from conftest import make_plan, threads
 from numpy_renderer import NumpyRenderer
 from symsol_annot.generate import generate
 plan = make_plan("tet", test={IMAGES}, size={SIZE})
@@ -512,7 +516,7 @@ if os.geteuid() == 0:  # root may write anywhere; everything is imported by now
     os.setgroups([]), os.setresgid(*[{NOBODY}] * 3), os.setresuid(*[{NOBODY}] * 3)
 for folder in sys.argv[1:]:
     try:
-        generate(plan, Path(folder), partial(NumpyRenderer, "tet", {SIZE}))
+        generate(plan, Path(folder), threads(partial(NumpyRenderer, "tet", {SIZE})))
         print("finished")
     except Exception as error:
         print(type(error).__name__, error)
@@ -559,7 +563,7 @@ def test_without_permission_an_unfinished_set_stays_as_it_is_and_a_finished_one_
 def test_file_in_place_of_a_folder_is_an_error_that_says_so(tmp_path, there, folder, words):
     (tmp_path / there).write_text("mine")
     with pytest.raises(OutputError, match=words):
-        generate(small_plan(), tmp_path / folder, Opener())
+        generate(small_plan(), tmp_path / folder, threads(Opener()))
     assert (tmp_path / there).read_text() == "mine"
 
 
@@ -598,11 +602,11 @@ def test_full_disk_keeps_whole_shards_and_the_same_call_finishes_after_making_ro
     small_disk.resize(kibibytes)
     folder = small_disk.folder / "tet"
     with pytest.raises(OutputError, match=r"tet/.*the disk is full: make room, then run the same command again"):
-        generate(small_plan(), folder, Opener(), workers)
+        generate(small_plan(), folder, threads(Opener(), workers=workers))
     assert len(list(folder.glob("*.h5"))) >= kept
     assert_only_whole_shards(folder, undisturbed)
     small_disk.resize(1000)
-    generate(small_plan(), folder, Opener(), workers)
+    generate(small_plan(), folder, threads(Opener(), workers=workers))
     assert contents(folder) == contents(undisturbed)
 
 
@@ -611,8 +615,8 @@ def test_disk_that_is_full_from_the_start_gets_no_manifest(small_disk):
     (small_disk.folder / "ballast").write_bytes(bytes(4096))
     folder = small_disk.folder / "tet"
     with pytest.raises(OutputError, match="the disk is full"):
-        generate(small_plan(), folder, Opener())
-    assert list(folder.iterdir()) == []
+        generate(small_plan(), folder, threads(Opener()))
+    assert not folder.exists()
 
 
 def shard_names(split, count):
@@ -679,5 +683,5 @@ def test_set_begun_with_other_software_is_not_finished_with_this(tmp_path):
         versions = MappingProxyType({"renderer": "another"})
 
     with pytest.raises(DifferentSetError, match="renderer: there numpy, here another"):
-        generate(make_plan(test=40), folder, lambda: OtherRenderer("tetX"))
+        generate(make_plan(test=40), folder, threads(lambda: OtherRenderer("tetX")))
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

@@ -12,7 +12,7 @@ import pytest
 from conftest import make_set
 
 from symsol_annot import dataset as dataset_module
-from symsol_annot import generate as generate_module
+from symsol_annot import plan as plan_module
 from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.manifest import read_manifest
@@ -42,8 +42,8 @@ def tet_set(tmp_path_factory):
 def many_shards(tmp_path_factory):
     """A set of more shards than are kept open; not to be written to."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(generate_module, "MAX_IMAGES_PER_SHARD", 2)
-        return make_set(tmp_path_factory.mktemp("many"), "tetX", test=2 * dataset_module._MAX_OPEN_SHARDS + 5, size=16)
+        patch.setattr(plan_module, "MAX_IMAGES_PER_SHARD", 2)
+        return make_set(tmp_path_factory.mktemp("many"), "tetX", test=2 * dataset_module.MAX_OPEN_SHARDS + 5, size=16)
 
 
 def open_files():

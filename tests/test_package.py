@@ -48,7 +48,7 @@ def distributions(modules):
 
 
 def test_the_public_names_are_these():
-    assert set(symsol_annot.__all__) == {"Dataset", "Sample", "SymsolError", "__version__", "load"}
+    assert set(symsol_annot.__all__) == {"Dataset", "Sample", "SymsolError", "__version__", "load", "shuffled_order"}
     assert len(symsol_annot.__all__) == len(set(symsol_annot.__all__))
     assert all(hasattr(symsol_annot, name) for name in symsol_annot.__all__)
 

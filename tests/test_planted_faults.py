@@ -31,9 +31,9 @@ FAULTS = {
         "test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
     ),
     "label transposed": (
-        "symsol_annot/generate.py",
-        "ImageRecord(view, R_gt,",
-        "ImageRecord(view, R_gt.T,",
+        "symsol_annot/shard_maker.py",
+        "return ImageRecord(view, R_gt, pixels, annotation.mask)",
+        "return ImageRecord(view, R_gt.T, pixels, annotation.mask)",
         "test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
     ),
     "object turned the other way": (
@@ -113,6 +113,30 @@ FAULTS = {
         'thresholds.astype(in_order.dtype), side="right"',
         'thresholds.astype(in_order.dtype), side="left"',
         "test_scoring.py::test_a_float32_answer_of_the_threshold_is_no_claim_either",
+    ),
+    "last images of an epoch left out": (
+        "symsol_annot/order.py",
+        "n * (part + 1) // parts",
+        "n // parts * (part + 1)",
+        "test_order.py::test_parts_hold_every_row_once_and_differ_by_at_most_one_image",
+    ),
+    "more shards shuffled together than are kept open": (
+        "symsol_annot/order.py",
+        "-(-shards // MAX_OPEN_SHARDS)",
+        "-(-shards // (2 * MAX_OPEN_SHARDS))",
+        "test_order.py::test_reader_of_files_opens_each_of_its_shards_once[1]",
+    ),
+    "losers share by the number of all": (
+        "symsol_annot/bench/losses.py",
+        "epsilon / (M - 1) * losses.sum(dim=-1)",
+        "epsilon / M * losses.sum(dim=-1)",
+        "test_losses.py::test_rwta_is_its_equation[0.05-30]",
+    ),
+    "statistics of a frozen stage move": (
+        "symsol_annot/bench/first_stage.py",
+        "super().train(mode and not self._is_frozen)",
+        "super().train(mode)",
+        "test_models.py::test_a_frozen_first_stage_stays_to_the_bit_while_the_second_learns",
     ),
     "queries in order": (
         "symsol_annot/bench/queries.py",

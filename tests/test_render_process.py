@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from oracle import boundary, cast
 
-from symsol_annot import render_process
+from symsol_annot import blender_process
+from symsol_annot.blender_process import check_blender_installed
 from symsol_annot.errors import RendererCrashedError, RendererMissingError
 from symsol_annot.objects import load_object
-from symsol_annot.render_process import COUNTS_PER_REQUEST, RenderProcess, check_blender_installed
+from symsol_annot.render_process import COUNTS_PER_REQUEST, RenderProcess
 from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.so3 import uniform_rotations
 
@@ -65,7 +66,7 @@ def descriptors():
 
 
 def log_bytes(renderer):
-    return os.fstat(renderer._log.fileno()).st_size
+    return os.fstat(renderer._process._log.fileno()).st_size
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +233,7 @@ def test_without_opengl_the_error_says_so_and_no_descriptor_is_left(monkeypatch)
 
 
 def test_without_bpy_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(render_process.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(blender_process.util, "find_spec", lambda name: None)
     with pytest.raises(RendererMissingError, match=r"bpy.*not installed.*pip install 'symsol-annot\[render\]'"):
         open_renderer()
 

@@ -6,13 +6,14 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from conftest import SIZE
+from conftest import SIZE, on_images, threads
 from numpy_renderer import NumpyRenderer
 
 from symsol_annot.errors import DataError, DifferentSetError
-from symsol_annot.generate import SetPlan, generate
+from symsol_annot.generate import generate
 from symsol_annot.manifest import read_manifest
 from symsol_annot.objects import load_object
+from symsol_annot.plan import SetPlan
 from symsol_annot.verify import verify
 
 open_renderer = partial(NumpyRenderer, "tetX", SIZE)
@@ -42,7 +43,7 @@ def test_a_repaired_set_is_the_undisturbed_one_byte_for_byte(tetX_set, plan, dam
     before, seen = contents(tetX_set), []
     damage(tetX_set / "test-00001-of-00003.h5")
     assert verify(tetX_set) != []
-    generate(plan, tetX_set, open_renderer, on_image=lambda: seen.append(1), repair=True)
+    generate(plan, tetX_set, threads(open_renderer), on_images(lambda: seen.append(1)), repair=True)
     assert contents(tetX_set) == before
     assert len(seen) == 45  # those of whole shards count as well
     assert verify(tetX_set) == []
@@ -52,7 +53,7 @@ def test_all_shards_of_a_set_may_be_missing(tetX_set, plan):
     before = contents(tetX_set)
     for path in tetX_set.glob("*.h5"):
         path.unlink()
-    generate(plan, tetX_set, open_renderer, workers=2, repair=True)
+    generate(plan, tetX_set, threads(open_renderer, workers=2), repair=True)
     assert contents(tetX_set) == before
 
 
@@ -60,7 +61,7 @@ def test_without_repair_damaged_shards_are_named_and_left_alone(tetX_set, plan):
     flip_a_bit(tetX_set / "test-00001-of-00003.h5")
     before = contents(tetX_set)
     with pytest.raises(DataError, match=r"damaged: test-00001-of-00003\.h5\..*--repair"):
-        generate(plan, tetX_set, unopened)
+        generate(plan, tetX_set, threads(unopened))
     assert contents(tetX_set) == before
 
 
@@ -76,7 +77,7 @@ def test_a_repair_that_gives_other_bytes_is_refused_and_nothing_is_written(tetX_
     flip_a_bit(tetX_set / "test-00001-of-00003.h5")
     before = contents(tetX_set)
     with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: made again, its SHA-256 is .* other software"):
-        generate(plan, tetX_set, partial(DarkerRenderer, "tetX", SIZE), repair=True)
+        generate(plan, tetX_set, threads(partial(DarkerRenderer, "tetX", SIZE)), repair=True)
     assert contents(tetX_set) == before
 
 
@@ -84,7 +85,7 @@ def test_a_set_is_not_repaired_with_another_object(tetX_set):
     flip_a_bit(tetX_set / "test-00001-of-00003.h5")
     plan = SetPlan.of(read_manifest(tetX_set), load_object("cylO"))
     with pytest.raises(DifferentSetError, match="object"):
-        generate(plan, tetX_set, unopened, repair=True)
+        generate(plan, tetX_set, threads(unopened), repair=True)
 
 
 def test_the_plan_of_a_set_is_the_one_it_was_made_by(tetX_set, plan):

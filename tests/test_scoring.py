@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
-from conftest import make_plan
+from conftest import make_plan, threads
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -89,7 +89,11 @@ def sets(tmp_path_factory):
     """A folder of small sets, and the oracle's reading of each."""
     folder = tmp_path_factory.mktemp("sets")
     for name, images in IMAGES.items():
-        generate(make_plan(name, test=images, size=SIZE), folder / name, partial(LabelRenderer, name), exhaustive=True)
+        generate(
+            make_plan(name, test=images, size=SIZE),
+            folder / name,
+            threads(partial(LabelRenderer, name), exhaustive=True),
+        )
     return folder, {name: TruthOracle(folder / name) for name in IMAGES}
 
 

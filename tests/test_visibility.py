@@ -5,15 +5,16 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import make_plan, make_set, pixels_of
+from conftest import make_plan, make_set, pixels_of, threads
 from numpy_renderer import NumpyRenderer
 from oracle import cast_samples
 
 from symsol_annot.annotate import annotate
-from symsol_annot.generate import generate, visibility_of
+from symsol_annot.generate import generate
 from symsol_annot.objects import load_object
 from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import Camera, RenderSettings
+from symsol_annot.shard_maker import visibility_of
 from symsol_annot.so3 import rotations_about, uniform_rotations
 from symsol_annot.visibility import MarkingVisibility, is_convex
 
@@ -131,7 +132,7 @@ def test_most_views_that_show_the_marking_are_decided_without_counting():
 def test_sets_annotated_by_geometry_and_by_drawing_every_candidate_have_the_same_bytes(tmp_path):
     plan = make_plan("tetX", test=40)
     by_geometry = make_set(tmp_path / "a", "tetX", test=40)
-    generate(plan, tmp_path / "b" / "tetX", partial(NumpyRenderer, "tetX", plan.camera.width), exhaustive=True)
+    generate(plan, tmp_path / "b" / "tetX", threads(partial(NumpyRenderer, "tetX", plan.camera.width), exhaustive=True))
     files = sorted(path.name for path in by_geometry.iterdir())
     assert files == sorted(path.name for path in (tmp_path / "b" / "tetX").iterdir())
     for name in files:
@@ -141,7 +142,7 @@ def test_sets_annotated_by_geometry_and_by_drawing_every_candidate_have_the_same
 def test_a_body_that_is_not_convex_is_annotated_by_drawing(monkeypatch):
     plan = make_plan("tetX")
     assert visibility_of(plan) is not None
-    monkeypatch.setattr("symsol_annot.generate.is_convex", lambda mesh: False)
+    monkeypatch.setattr("symsol_annot.shard_maker.is_convex", lambda mesh: False)
     assert visibility_of(plan) is None
     assert visibility_of(make_plan("tet")) is None
 

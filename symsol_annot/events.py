@@ -1,0 +1,66 @@
+"""What happens while a set is made, for whoever shows or logs it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+
+@dataclass(frozen=True)
+class Started:
+    """The work is known.
+
+    Attributes:
+        images, shards: of the whole set.
+        images_there, shards_there: of those, how many the folder holds already.
+    """
+
+    images: int
+    shards: int
+    images_there: int
+    shards_there: int
+
+
+@dataclass(frozen=True)
+class StrangersFound:
+    """The folder holds shards that are none of this set's; they are left alone."""
+
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ImagesMade:
+    """So many more images are made; none is counted twice, also where its shard is begun again."""
+
+    images: int
+
+
+@dataclass(frozen=True)
+class ShardFinished:
+    """A shard is in the folder, made by a worker."""
+
+    shard: str
+    images: int
+    worker: str
+
+
+@dataclass(frozen=True)
+class ShardBegunAgain:
+    """A worker failed at a shard, which is begun again: the attempt that failed (1 is the first), and why."""
+
+    shard: str
+    worker: str
+    attempt: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class WorkersGone:
+    """There is no worker at the moment; the work waits for one."""
+
+
+Event: TypeAlias = Started | StrangersFound | ImagesMade | ShardFinished | ShardBegunAgain | WorkersGone
+OnEvent: TypeAlias = Callable[[Event], object]
+
+
+def ignore(_: Event) -> None:
+    """Take no notice."""

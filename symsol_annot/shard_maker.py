@@ -1,0 +1,113 @@
+"""Making one shard: its images drawn by a renderer, annotated, and written into a file in memory."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from symsol_annot import __version__
+from symsol_annot.annotate import annotate, is_shown, marking_pixels
+from symsol_annot.errors import RendererCrashedError
+from symsol_annot.manifest import ShardEntry
+from symsol_annot.plan import SetPlan, label_rotation
+from symsol_annot.scene import Renderer
+from symsol_annot.shards import ImageRecord, ShardHeader, ShardWriter, storage_versions
+from symsol_annot.visibility import MarkingVisibility, is_convex
+
+OnImages = Callable[[int], object]  # told how many images of the shard are made
+
+
+@dataclass(frozen=True)
+class MadeShard:
+    """A finished shard, on its way to the set's folder.
+
+    Attributes:
+        data: the file's bytes.
+        sha256: of the bytes, where they were made.
+        content_sha256: of its arrays, as `shards.content_sha256`.
+        worker: who made it.
+    """
+
+    data: bytes
+    sha256: str
+    content_sha256: str
+    worker: str
+
+
+class ShardMaker:
+    """Makes the shards of a plan with one renderer.
+
+    Args:
+        plan: the set.
+        renderer: draws its object.
+        exhaustive: draw every candidate, also where geometry decides; the bytes are the same.
+        worker: the name that its shards carry.
+    """
+
+    is_spent = False  # lasts as long as its renderer
+
+    def __init__(self, plan: SetPlan, renderer: Renderer, *, exhaustive: bool = False, worker: str = "") -> None:
+        self._plan, self._renderer, self._worker = plan, renderer, worker
+        self._visibility = None if exhaustive else visibility_of(plan)
+        self._is_closed = False
+
+    def make(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
+        """Draw and annotate the images of one shard.
+
+        Raises:
+            RenderError: the renderer failed or crashed.
+        """
+        spec, annotated = self._plan.spec, self._plan.manifest().is_annotated(entry.split)
+        writer = ShardWriter(self._header(entry), entry.images, spec.symmetry_group, annotated=annotated)
+        counts = {"candidates_drawn": 0, "candidates_within_tolerance": 0}
+        try:
+            for made in range(entry.images):
+                if self._is_closed:
+                    raise RendererCrashedError("the renderer was closed while it was drawing")
+                writer.add(self._record(entry, entry.first_index + made, counts, annotated=annotated))
+                on_images(made + 1)
+            file = writer.finish(counts)
+        finally:
+            writer.close()
+        return MadeShard(file.data, hashlib.sha256(file.data).hexdigest(), file.content_sha256, self._worker)
+
+    def close(self) -> None:
+        """Let go of the renderer; a shard under way in another thread ends as a crash."""
+        self._is_closed = True
+        self._renderer.close()
+
+    def _record(self, entry: ShardEntry, index: int, counts: dict[str, int], *, annotated: bool) -> ImageRecord:
+        spec, renderer = self._plan.spec, self._renderer
+        R_gt = label_rotation(self._plan.seed, spec.name, entry.split, index)
+        view = renderer.render(R_gt)
+        pixels = marking_pixels(spec, R_gt, view.marking_pixels, renderer, self._visibility)
+        if not annotated:
+            return ImageRecord(view, R_gt, pixels, None)
+        annotation = annotate(spec, R_gt, pixels, renderer, self._visibility)
+        drawn = annotation.candidate_pixels
+        counts["candidates_drawn"] += int(np.count_nonzero(np.isfinite(drawn)))
+        counts["candidates_within_tolerance"] += int(np.count_nonzero((drawn > 0) & ~is_shown(spec, drawn)))
+        return ImageRecord(view, R_gt, pixels, annotation.mask)
+
+    def _header(self, entry: ShardEntry) -> ShardHeader:
+        plan = self._plan
+        return ShardHeader(
+            object=plan.spec.name,
+            object_sha256=plan.spec.digest,
+            split=entry.split,
+            first_index=entry.first_index,
+            seed=plan.seed,
+            camera=plan.camera.to_dict(),
+            render=plan.settings.to_dict(),
+            tolerance_px=plan.spec.marking.tolerance_px if plan.spec.marking else np.nan,
+            versions={"symsol-annot": __version__, **storage_versions(), **self._renderer.versions},
+        )
+
+
+def visibility_of(plan: SetPlan) -> MarkingVisibility | None:
+    """Return what decides by geometry whether a plan's marking shows; None without a marking or a convex body."""
+    spec = plan.spec
+    if spec.marking is None or not is_convex(spec.mesh):
+        return None
+    return MarkingVisibility(spec.mesh, plan.camera, plan.settings)
