@@ -185,9 +185,7 @@ def test_a_process_that_hangs_is_ended_in_its_time_limit(opened):
 @pytest.mark.blender
 def test_a_process_that_outgrows_its_memory_is_ended_and_says_so(opened):
     process = opened(memory_bytes=150 * MIB)
-    with pytest.raises(
-        RendererCrashedError, match=r"ended itself: it held \d+ MiB, more than --worker-memory.*: 150"
-    ):
+    with pytest.raises(RendererCrashedError, match=r"ended itself: it held \d+ MiB, more than --worker-memory.*: 150"):
         process.make(ENTRY, lambda _: None)
 
 
