@@ -13,10 +13,12 @@ from symsol_annot_cli.doctor import doctor
 from symsol_annot_cli.info import info
 from symsol_annot_cli.objects import objects
 from symsol_annot_cli.plot import plot
+from symsol_annot_cli.predict import predict
 from symsol_annot_cli.queries import queries
 from symsol_annot_cli.reference import reference
 from symsol_annot_cli.render import render
 from symsol_annot_cli.score import score
+from symsol_annot_cli.train import train
 from symsol_annot_cli.validate import validate
 from symsol_annot_cli.verify import verify
 
@@ -31,7 +33,9 @@ def app() -> None:
     """Images of symmetric objects, each with the set of all rotations that could have produced it."""
 
 
-for command in (render, objects, doctor, info, verify, plot, queries, validate, score, compare, reference):
+_DATA_COMMANDS = (render, objects, doctor, info, verify, plot)
+_BENCHMARK_COMMANDS = (train, predict, queries, validate, score, compare, reference)
+for command in (*_DATA_COMMANDS, *_BENCHMARK_COMMANDS):
     app.add_command(command)
 
 

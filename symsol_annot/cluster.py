@@ -38,6 +38,7 @@ from symsol_annot.shard_process import DEFAULT_LIMITS, Limits, ShardProcess
 
 _DECIDE_BYTES = ("bpy", "h5py", "numpy", "zlib-ng")  # Mesa and HDF5 are compared when a shard arrives
 _CONNECT_SECONDS = 10.0
+_ANSWER_SECONDS = 20.0  # in which a scheduler and all its workers must answer
 _FIRST_WORKER_SECONDS = 60.0
 _LOOK_SECONDS = 1.0  # between two questions for the number of workers
 _TELL_SECONDS = 1.0  # between two reports of a worker
@@ -78,9 +79,11 @@ class DaskCluster:
                 client = Client(self._address, timeout=_CONNECT_SECONDS, set_as_default=False)
                 self._client = opened.enter_context(client)
                 self._check_workers()
-                self._client.register_plugin(self._makers)
+                _answer_of(partial(self._client.register_plugin, self._makers))
                 self._client.subscribe_topic(self._name, self._hear)
-            except (OSError, TimeoutError, CancelledError):
+            except TimeoutError:
+                raise self._hung() from None
+            except (OSError, CancelledError):
                 raise self._lost() from None
             self._opened = opened.pop_all()
         return self
@@ -91,7 +94,7 @@ class DaskCluster:
         self._is_closed = True
         if self._client.status == "running":
             with suppress(OSError, TimeoutError, ValueError):
-                self._client.unregister_worker_plugin(self._name)  # ends what they are making
+                _answer_of(partial(self._client.unregister_worker_plugin, self._name))  # ends what they are making
             end = time.monotonic() + _CONNECT_SECONDS
             for arrival in list(self._arrivals):
                 arrival.join(max(0.0, end - time.monotonic()))  # it would wait for a closed client for ever
@@ -105,8 +108,10 @@ class DaskCluster:
         """
         if time.monotonic() - self._looked_at >= _LOOK_SECONDS:
             try:
-                self._threads = sum(self._client.nthreads().values())
-            except (OSError, TimeoutError, CancelledError):
+                self._threads = sum(_answer_of(self._client.nthreads).values())
+            except TimeoutError:
+                raise self._hung() from None
+            except (OSError, CancelledError):
                 raise self._lost() from None
             self._looked_at = time.monotonic()
         if self._client.status != "running":
@@ -126,7 +131,7 @@ class DaskCluster:
         if not self._is_closed:
             arrival = threading.Thread(target=self._arrive, args=[outcome, task], daemon=True)
             arrival.start()
-            self._arrivals.append(arrival)
+            self._arrivals = [*(thread for thread in self._arrivals if thread.is_alive()), arrival]
 
     def _arrive(self, outcome: "Future[MadeShard]", task: "DaskFuture[MadeShard]") -> None:
         try:
@@ -154,6 +159,12 @@ class DaskCluster:
             "it is back, or without --cluster on this machine"
         )
 
+    def _hung(self) -> ClusterError:
+        return ClusterError(
+            f"the Dask scheduler at {self._address}, or a worker of it, gave no answer in {_ANSWER_SECONDS:g} s. End "
+            "the one that hangs: finished shards are kept, and the same command goes on"
+        )
+
     def _check_workers(self) -> None:
         try:
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER_SECONDS)
@@ -162,7 +173,8 @@ class DaskCluster:
                 f"the Dask scheduler at {self._address} has no workers, and none came in {_FIRST_WORKER_SECONDS:g} s: "
                 f"start some with `dask worker {self._address}`"
             ) from None
-        versions: Any = self._client.get_versions(packages=["symsol-annot", *_DECIDE_BYTES])
+        ask = partial(self._client.get_versions, packages=["symsol-annot", *_DECIDE_BYTES])
+        versions: Any = _answer_of(ask)
         faults = worker_faults({worker: about["packages"] for worker, about in versions["workers"].items()})
         if faults:
             raise ClusterError(
@@ -171,16 +183,36 @@ class DaskCluster:
             )
 
 
+def _answer_of(ask: Callable[[], Any]) -> Any:
+    """Ask Dask for something, and return its answer; for a worker that hangs, it would wait for ever.
+
+    Raises:
+        TimeoutError: there was none in time.
+    """
+    answer: Future[Any] = Future()
+
+    def wait() -> None:
+        try:
+            answer.set_result(ask())
+        except BaseException as error:  # noqa: BLE001 - whatever it is, it is for the one who asked
+            answer.set_exception(error)
+
+    threading.Thread(target=wait, daemon=True).start()
+    return answer.result(_ANSWER_SECONDS)
+
+
 @contextmanager
 def _silent_dask() -> Iterator[None]:
     """Keep Dask's client from printing tracebacks of what becomes a ClusterError here."""
-    log = logging.getLogger("distributed.client")
-    level = log.level
-    log.setLevel(logging.CRITICAL)
+    logs = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [log.level for log in logs]
+    for log in logs:
+        log.setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        log.setLevel(level)
+        for log, level in zip(logs, levels, strict=True):
+            log.setLevel(level)
 
 
 def check_scheduler(address: str) -> None:

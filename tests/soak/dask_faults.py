@@ -115,6 +115,26 @@ def other_worker_joins(words, changes, trial):
     trial.resumes(*on(trial.cluster))
 
 
+def useless_worker_joins(trial):
+    """A worker comes that cannot even be told of the set; Dask keeps it, though it hangs."""
+    trial.cluster.start(workers=1)
+    running = trial.started(*on(trial.cluster), "--worker-frames", "1")
+    trial.cluster.start_worker(1, python=environment(trial.site.folder / "environment", **NO_PACKAGE))
+    trial.survives(running)
+    trial.refuses(trial.start(*on(trial.cluster), "--seed", "1", out=trial.site.folder / "more"), *NO_ANSWER)
+    kill(trial.site.alive("worker-1"))
+
+
+def scheduler_hangs(trial):
+    trial.cluster.start()
+    running = trial.started(*on(trial.cluster))
+    hung = trial.site.alive("scheduler")
+    kill(hung, signal.SIGSTOP)
+    trial.refuses(running, *NO_ANSWER)
+    kill(hung, signal.SIGCONT)
+    trial.resumes(*on(trial.cluster))
+
+
 def replace_worker(trial):
     trial.cluster.stop_worker(1)
     trial.cluster.start_worker(1)
@@ -228,6 +248,7 @@ OTHER, NO_PACKAGE, NO_BPY, OTHER_HDF5 = (
 )
 IS_OTHER = ("has symsol-annot 0.0.9", f"this command is {__version__}")
 JOINS_OTHER = ("makes shards with other software than", "symsol-annot: there", GOES_ON)
+NO_ANSWER = ("or a worker of it, gave no answer in 20 s. End the one that hangs", GOES_ON)
 NO_WORKER = ("no worker", "for a minute", no_worker)
 FAULTS = (
     ("scheduler absent", "nobody at the address", nobody),
@@ -249,9 +270,11 @@ FAULTS = (
         "one without bpy joins",
         partial(other_worker_joins, ["module bpy, which is not inst"], NO_BPY),
     ),
+    ("version mismatch", "one without symsol-annot joins", useless_worker_joins),
     ("no worker", "for 4 s", late_worker),
     ("no worker", "in the middle: all killed", workers_leave_and_come),
     ("hang: SIGSTOP, --time-limit 3", "a Dask worker's Blender", partial(blender_suffers, *HANG)),
+    ("hang: SIGSTOP", "the scheduler", scheduler_hangs),
     ("hang: SIGSTOP, worker-ttl 5 s", "a Dask worker", worker_hangs),
     ("crash: SIGSEGV", "a Dask worker's Blender", partial(blender_suffers, *CRASH)),
     ("out of memory: --worker-memory 64", "every Dask worker's Blender", too_little_allowed),

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from outcomes import run_alone
-from processes import contents, finished
+from processes import contents, finished, kill
 from trials import HERE, SET, try_all, undisturbed_set
 
 UNPRIVILEGED = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--inh-caps=-dac_override,-dac_read_search")
@@ -232,7 +232,10 @@ def another_set(trial):
 
 def two_commands(trial):
     first = trial.started()
+    workers = trial.site.blenders()
+    kill(workers, signal.SIGSTOP)  # the first one waits for the second
     trial.refuses(trial.start(), "is making this set right now; wait for it, or choose another folder with --out")
+    kill(workers, signal.SIGCONT)
     trial.survives(first)
 
 

@@ -18,7 +18,7 @@ from outcomes import Outcome, run_alone
 from processes import Cluster, Site, contents, differences, finished, kill, wait_for
 from trials import tracebacks
 
-SET = "--object tetX --train 600 --test 600 --size 224"
+SET = "--object tetX --train 800 --test 800 --size 224"
 SHARDS = 16
 SCHEDULER_LOST = ("is gone. Finished shards are kept", "nobody answers there")
 _TRIES = 5  # at a moment that is not too late

@@ -13,7 +13,7 @@ _SHOWN = 150  # characters of a message
 _DIFFERS = {  # from run to run, and what is shown instead
     r"/tmp/soak-[^/ ]*/": "",
     r"process \d+": "process N",
-    r"\(\d+: [^)]*\)": "(N: symsol-annot render)",
+    r"\(\d+: .*\) is making": "(N: symsol-annot render) is making",
     r"127\.0\.0\.1:\d+": "127.0.0.1:PORT",
     r"symsol-annot-\w{8}": "symsol-annot-XXXXXXXX",
     r"held \d+ MiB": "held N MiB",

@@ -1,0 +1,38 @@
+"""`symsol-annot predict`: write a trained model's predictions."""
+
+from pathlib import Path
+
+import click
+from symsol_annot_cli.parameters import DATA, SPLIT
+
+from symsol_annot import dataset
+from symsol_annot.bench.truth import find_set
+from symsol_annot.errors import SymsolError
+from symsol_annot.grid import STANDARD_LEVEL
+
+
+@click.command()
+@click.argument("checkpoint", type=click.Path(path_type=Path))
+@DATA
+@SPLIT
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("preds.h5"), show_default=True)
+@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, cuda:1 ..")
+@click.option("--method", help="What the file says it is by.  [default: the recipe's name]")
+@click.option("--level", type=click.IntRange(0, 5), default=STANDARD_LEVEL, show_default=True, help="Of the grid.")
+def predict(checkpoint: Path, data: Path, split: str, out: Path, device: str, method: str | None, level: int) -> None:
+    """Write the predictions of a trained model, for `score`.
+
+    CHECKPOINT is the folder that `train` wrote, or a file of weights in it. A classifier's predictions may be
+    interrupted; the same command goes on.
+    """
+    try:
+        from symsol_annot.bench import checkpoints, devices, inference  # noqa: PLC0415 - slow to import
+    except ImportError:
+        raise SymsolError("predicting needs torch: `pip install 'symsol-annot[bench]'`") from None
+    chosen = devices.choose_device(device)
+    model = checkpoints.open_checkpoint(checkpoint)
+    with dataset.load(find_set(data, model.about.object), split) as images:
+        track = inference.predict(model, images, out, chosen, method=method, level=level)
+    click.echo(
+        f"{out}: {track} about {len(images)} images of {images.object}\nNext:\n  symsol-annot score {out} --data {data}"
+    )

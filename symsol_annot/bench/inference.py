@@ -1,0 +1,124 @@
+"""From a trained model to a predictions file, in float32 on any device."""
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from symsol_annot.bench.checkpoints import Checkpoint
+from symsol_annot.bench.learners import all_hypotheses, embedded, probabilities
+from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
+from symsol_annot.bench.submission import write_classifier, write_hypotheses
+from symsol_annot.bench.training_data import decoded
+from symsol_annot.dataset import Dataset
+from symsol_annot.errors import ModelError
+from symsol_annot.grid import STANDARD_LEVEL, grid_size
+from symsol_annot.so3 import Rotations
+
+BATCH = 64  # images at once
+_BLOCK = 512  # images decoded at once
+
+
+def predict(
+    checkpoint: Checkpoint,
+    dataset: Dataset,
+    path: Path,
+    device: torch.device,
+    *,
+    method: str | None = None,
+    level: int = STANDARD_LEVEL,
+    progress: bool = True,
+) -> str:
+    """Write a model's predictions about a split; a classifier's may be stopped and gone on with.
+
+    Args:
+        checkpoint: of the model.
+        dataset: the whole split.
+        path: of the predictions file.
+        device: what the model runs on.
+        method: what the file says it is by; the recipe's name by default.
+        level: of the grid a classifier is asked on; only the standard one ranks.
+        progress: show a bar where standard error is a terminal.
+
+    Returns:
+        The track: "hypotheses" or "classifier".
+
+    Raises:
+        ModelError: the model was trained on another object or size of image, or the device has too little memory.
+        NotAnnotatedError: the split has no symmetry sets.
+        PredictionsError: the file is there and about something else.
+        OutputError: it cannot be written.
+    """
+    _refuse_other_images(checkpoint, dataset)
+    by, model = method or checkpoint.about.name, checkpoint.model.to(device)
+    if isinstance(model, HypothesisNetwork):
+        hypotheses = _all_hypotheses(model, dataset, progress=progress)
+        write_hypotheses(path, dataset, hypotheses, method=by)
+        return "hypotheses"
+    classify = _asked_about(model, dataset, device)
+    write_classifier(path, dataset, classify, method=by, level=level, batch_size=grid_size(level), progress=progress)
+    return "classifier"
+
+
+def _all_hypotheses(model: HypothesisNetwork, dataset: Dataset, *, progress: bool) -> npt.NDArray[np.float32]:
+    parts = []
+    with tqdm(total=len(dataset), unit="image", disable=None if progress else True) as bar:
+        for start in range(0, len(dataset), _BLOCK):
+            images, _ = decoded(dataset[start : start + _BLOCK])
+            parts.append(_in_memory_that_is_there(partial(all_hypotheses, model, images)))
+            bar.update(len(images))
+    return np.concatenate(parts)
+
+
+def _asked_about(
+    model: RotationClassifier, dataset: Dataset, device: torch.device
+) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
+    """Return a callable from an image's index and rotations (n, 3, 3) to probabilities (n,)."""
+
+    @lru_cache(maxsize=1)
+    def embedding_of(i: int) -> Tensor:
+        return embedded(model, torch.from_numpy(dataset[i].image)[None], 1)[0]
+
+    def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
+        on_device = torch.from_numpy(R.astype(np.float32)).to(device)
+        answers: npt.NDArray[np.float32] = probabilities(model, embedding_of(i), on_device).cpu().numpy()
+        return answers
+
+    return classify
+
+
+def _in_memory_that_is_there(
+    run: Callable[[int], npt.NDArray[np.float32]], batch: int = BATCH
+) -> npt.NDArray[np.float32]:
+    """Run with the largest of batch, batch / 2, .. that memory holds; answers do not depend on it."""
+    while True:
+        try:
+            return run(batch)
+        except torch.cuda.OutOfMemoryError:
+            if batch == 1:
+                raise ModelError(
+                    "the GPU's memory does not hold the network and a single image; end what else uses it, or take "
+                    "--device cpu"
+                ) from None
+        torch.cuda.empty_cache()
+        batch //= 2
+
+
+def _refuse_other_images(checkpoint: Checkpoint, dataset: Dataset) -> None:
+    about, camera = checkpoint.about, dataset.manifest.recipe["camera"]
+    if about.object != dataset.object:
+        raise ModelError(
+            f"{checkpoint.path}: was trained on {about.object}, the set in {dataset.folder} is of {dataset.object}; "
+            "name another with --data"
+        )
+    size = (camera["width"], camera["height"])
+    if about.image_size != size:
+        raise ModelError(
+            f"{checkpoint.path}: was trained on images of {'x'.join(map(str, about.image_size))} pixels, those in "
+            f"{dataset.folder} have {'x'.join(map(str, size))}; render a set with --size {about.image_size[0]}"
+        )

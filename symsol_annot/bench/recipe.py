@@ -1,0 +1,330 @@
+"""Recipes: all that decides how a model is trained, as TOML; one a row of the thesis's tables is built in.
+
+docs/training.md lists the keys. A recipe's tables [marked] and [objects.NAME] replace keys for objects with a marking
+and for single objects; `RecipeFile.for_object` gives what is left for one object, and that goes into a checkpoint.
+"""
+
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, asdict, dataclass, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
+
+from symsol_annot.bench.format import MAX_GRID_LEVEL, MAX_HYPOTHESES
+from symsol_annot.errors import SettingsError
+
+MetaLoss = Literal["wta", "rwta", "ewta"]
+EmbeddedLoss = Literal["cyclic-cosine", "von-mises", "geodesic"]
+WinnersSchedule = Literal["halved", "smooth"]
+BackboneStart = Literal["imagenet", "random"]
+FirstStageStart = Literal["imagenet", "random", "best-recall", "best-precision"]
+
+_MARKED, _OBJECTS = "marked", "objects"
+_MAX_EPOCHS, _MAX_BATCH, _MAX_NEGATIVES, _MAX_FREQUENCIES = 100_000, 2**16, 2**20, 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Training:
+    """What both models' recipes have.
+
+    Attributes:
+        title: the row of the thesis's tables, in words.
+        epochs: how many.
+        batch: images a step; an epoch's last images, if fewer, are left out of it.
+        rates: Adam's learning rates, one after another.
+        rates_drop_after: after how many epochs each but the first begins.
+        held_out: the last so many images of the train split, which are evaluated after each epoch instead of learnt.
+    """
+
+    title: str
+    epochs: int
+    batch: int
+    rates: tuple[float, ...]
+    rates_drop_after: tuple[int, ...]
+    held_out: int = 500
+
+    def faults(self) -> Iterator[str]:
+        """Say what makes no sense."""
+        yield from _outside(self, epochs=(1, _MAX_EPOCHS), batch=(2, _MAX_BATCH), held_out=(0, math.inf))
+        if len(self.rates) != len(self.rates_drop_after) + 1:
+            drops = len(self.rates_drop_after)
+            yield f"rates: expected one more than rates_drop_after, which are {drops}, found {len(self.rates)}"
+        if not all(0.0 < rate < math.inf for rate in self.rates):
+            yield f"rates: expected numbers above 0, found {list(self.rates)}"
+        if sorted(set(self.rates_drop_after)) != list(self.rates_drop_after):
+            yield f"rates_drop_after: expected ascending epochs, found {list(self.rates_drop_after)}"
+        if any(not 0 < epoch < self.epochs for epoch in self.rates_drop_after):
+            yield f"rates_drop_after: expected epochs from 1 to {self.epochs - 1}, found {list(self.rates_drop_after)}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class HypothesisRecipe(_Training):
+    """How a HypothesisNetwork is trained (section 5.3).
+
+    Attributes:
+        hypotheses: M.
+        meta_loss: over an image's hypotheses.
+        embedded_loss: of one hypothesis.
+        epsilon: of RWTA.
+        winners: how EWTA's k falls from M to 1: "halved" (section 5.3.1), or "smooth", evenly in its logarithm.
+        epochs_to_one: after how many epochs k is 1; for EWTA alone.
+        concentration: K of the von Mises loss.
+        concentration_at_first: K in the beginning, where it is annealed (section 8.2); evenly in its logarithm.
+        epochs_to_concentration: after how many epochs it is `concentration`.
+        start: of the backbone.
+    """
+
+    hypotheses: int
+    meta_loss: MetaLoss
+    embedded_loss: EmbeddedLoss
+    epsilon: float = 0.05
+    winners: WinnersSchedule = "halved"
+    epochs_to_one: int | None = None
+    concentration: float = 4.0
+    concentration_at_first: float | None = None
+    epochs_to_concentration: int | None = None
+    start: BackboneStart = "imagenet"
+
+    def faults(self) -> Iterator[str]:
+        """Say what makes no sense."""
+        yield from super().faults()
+        least = 2 if self.meta_loss == "rwta" else 1
+        yield from _outside(self, hypotheses=(least, MAX_HYPOTHESES), epsilon=(0.0, 1.0))
+        yield from self._faults_of_winners()
+        yield from self._faults_of_concentration()
+
+    def _faults_of_winners(self) -> Iterator[str]:
+        if self.meta_loss == "ewta":
+            if self.epochs_to_one is None or not 0 <= self.epochs_to_one < self.epochs:
+                yield (
+                    f"epochs_to_one: expected 0 to {self.epochs - 1}, found {self.epochs_to_one}: within {self.epochs} "
+                    "epochs k would never be 1, and hypotheses only then go to single rotations"
+                )
+        elif self.epochs_to_one is not None:
+            yield f"epochs_to_one: belongs to the meta loss ewta, found {self.meta_loss}"
+
+    def _faults_of_concentration(self) -> Iterator[str]:
+        annealed = (self.concentration_at_first, self.epochs_to_concentration)
+        for name in ("concentration", "concentration_at_first"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < math.inf:
+                yield f"{name}: expected a number above 0, found {value}"
+        if (annealed[0] is None) != (annealed[1] is None):
+            yield "concentration_at_first, epochs_to_concentration: expected both or neither"
+        if annealed[1] is not None and not 0 < annealed[1] <= self.epochs:
+            yield f"epochs_to_concentration: expected 1 to {self.epochs}, found {annealed[1]}"
+        if annealed[0] is not None and self.embedded_loss != "von-mises":
+            yield f"concentration_at_first: belongs to the embedded loss von-mises, found {self.embedded_loss}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClassifierRecipe(_Training):
+    """How a RotationClassifier is trained (section 7.3).
+
+    Attributes:
+        negatives: K, random rotations an image and step.
+        frequencies: F of the positional encoding; 0 for none.
+        frozen_epochs: for how many epochs the first stage stays as it began.
+        start: of the first stage: that of the hypothesis network with the lowest error in recall or in precision, or
+            a backbone alone.
+        evaluation_level: of the grid on which the held-out images are asked.
+    """
+
+    negatives: int
+    frequencies: int = 3
+    frozen_epochs: int = 4
+    start: FirstStageStart = "best-recall"
+    evaluation_level: int = 4
+
+    def faults(self) -> Iterator[str]:
+        """Say what makes no sense."""
+        yield from super().faults()
+        yield from _outside(
+            self,
+            negatives=(1, _MAX_NEGATIVES),
+            frequencies=(0, _MAX_FREQUENCIES),
+            frozen_epochs=(0, self.epochs - 1),
+            evaluation_level=(0, MAX_GRID_LEVEL),
+        )
+
+
+Recipe: TypeAlias = HypothesisRecipe | ClassifierRecipe
+_MODELS: dict[str, type[Recipe]] = {"hypotheses": HypothesisRecipe, "classifier": ClassifierRecipe}
+
+
+@dataclass(frozen=True)
+class RecipeFile:
+    """A recipe as written: keys for all objects, and what replaces them for some.
+
+    Attributes:
+        name: of the file, without its suffix.
+        base, marked, objects: tables of keys.
+    """
+
+    name: str
+    base: Mapping[str, Any]
+    marked: Mapping[str, Any]
+    objects: Mapping[str, Mapping[str, Any]]
+
+    @property
+    def title(self) -> str:
+        """The row of the thesis's tables, in words."""
+        return str(self.base["title"])
+
+    def for_object(self, name: str, *, has_marking: bool) -> Recipe:
+        """Return the recipe for an object: its own keys before those of marked objects before the others."""
+        table = {**self.base, **(self.marked if has_marking else {}), **self.objects.get(name, {})}
+        recipe, faults = _recipe_of(table)
+        if recipe is None or faults:
+            raise _refusal(self.name, [f"for {name}: {fault}" for fault in faults])
+        return recipe
+
+
+def builtin_recipes() -> list[str]:
+    """Return the names of the built-in recipes."""
+    folder = resources.files("symsol_annot.bench").joinpath("recipes")
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_recipe(name_or_path: str) -> RecipeFile:
+    """Return a built-in recipe by its name, or one from a file.
+
+    Raises:
+        SettingsError: there is none, or it has faults; the message lists all.
+    """
+    if name_or_path in builtin_recipes():
+        source = resources.files("symsol_annot.bench").joinpath("recipes", f"{name_or_path}.toml")
+        return parse_recipe(source.read_text(encoding="utf-8"), name_or_path)
+    path = Path(name_or_path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise SettingsError(
+            f"{path}: there is no such file, and no built-in recipe of that name; built in are "
+            f"{', '.join(builtin_recipes())}"
+        ) from None
+    except (OSError, UnicodeError) as error:
+        raise SettingsError(f"{path}: the recipe cannot be read: {error}") from None
+    return parse_recipe(text, str(path))
+
+
+def parse_recipe(text: str, source: str) -> RecipeFile:
+    """Return the recipe that TOML text holds.
+
+    Raises:
+        SettingsError: it is no TOML, or has faults for some object; the message lists all.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{source}: is no TOML: {error}") from None
+    marked, objects = table.pop(_MARKED, {}), table.pop(_OBJECTS, {})
+    groups = {_MARKED: marked, _OBJECTS: objects}
+    groups |= {f"{_OBJECTS}.{name}": keys for name, keys in objects.items()} if isinstance(objects, dict) else {}
+    strange = [
+        f"{name}: expected a table of keys, found {keys!r}"
+        for name, keys in groups.items()
+        if not isinstance(keys, dict)
+    ]
+    if strange:
+        raise _refusal(source, strange)
+    faults = _recipe_of(table)[1]
+    faults += [fault for fault in _faults_of_replaced(table, marked, objects) if fault.partition(": ")[2] not in faults]
+    if faults:
+        raise _refusal(source, faults)
+    return RecipeFile(Path(source).name.removesuffix(".toml"), table, marked, objects)
+
+
+def recipe_to_toml(recipe: Recipe) -> str:
+    """Return a recipe for one object as TOML with all its keys."""
+    model = next(name for name, kind in _MODELS.items() if isinstance(recipe, kind))
+    known = {"model": model, **asdict(recipe)}
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items() if value is not None)
+
+
+def recipe_from_toml(text: str, source: str) -> Recipe:
+    """Undo `recipe_to_toml`.
+
+    Raises:
+        SettingsError: as `parse_recipe`.
+    """
+    return parse_recipe(text, source).for_object("", has_marking=False)
+
+
+def _faults_of_replaced(
+    base: Mapping[str, Any], marked: Mapping[str, Any], objects: Mapping[str, Mapping[str, Any]]
+) -> Iterator[str]:
+    if marked:
+        yield from (f"[{_MARKED}]: {fault}" for fault in _recipe_of({**base, **marked})[1])
+    for name, keys in objects.items():
+        both = [_recipe_of({**base, **common, **keys})[1] for common in ({}, marked)]
+        if all(both):  # whether it has a marking is not known here
+            yield from (f"[{_OBJECTS}.{name}]: {fault}" for fault in both[0])
+
+
+def _recipe_of(table: Mapping[str, Any]) -> tuple[Recipe | None, list[str]]:
+    """Return the recipe that keys make, or None; and their faults."""
+    keys = dict(table)
+    model = keys.pop("model", None)
+    if not isinstance(model, str) or model not in _MODELS:
+        return None, [f"model: expected {' or '.join(_MODELS)}, found {model!r}"]
+    kind = _MODELS[model]
+    hints, known = get_type_hints(kind), {field.name: field for field in fields(kind)}
+    faults = [f"{key}: is no key of a {model} recipe; keys are {', '.join(known)}" for key in keys if key not in known]
+    faults += [f"{name}: is missing" for name, field in known.items() if _is_required(field) and name not in keys]
+    values: dict[str, Any] = {}
+    for key in [key for key in keys if key in known]:
+        try:
+            values[key] = _value(keys[key], hints[key])
+        except TypeError as error:
+            faults.append(f"{key}: expected {error}, found {keys[key]!r}")
+    if faults:
+        return None, faults
+    recipe = kind(**values)
+    return recipe, list(recipe.faults())
+
+
+def _is_required(field: "Field[Any]") -> bool:
+    return field.default is MISSING
+
+
+def _value(value: Any, hint: Any) -> Any:
+    """Return a value of TOML as the type that a key has; a TypeError says what that is."""
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            raise TypeError(f"one of {', '.join(get_args(hint))}")
+        return value
+    if get_origin(hint) is tuple:
+        if not isinstance(value, list):
+            raise TypeError("a list of numbers")
+        return tuple(_value(one, get_args(hint)[0]) for one in value)
+    kinds = get_args(hint) or (hint,)
+    if bool not in kinds and isinstance(value, bool):
+        raise TypeError("a number" if {int, float} & set(kinds) else "text")
+    if float in kinds and isinstance(value, int | float):
+        return float(value)
+    if not isinstance(value, kinds):
+        raise TypeError("a whole number" if int in kinds else "a number" if float in kinds else "text")
+    return value
+
+
+def _outside(recipe: Any, **ranges: tuple[float, float]) -> Iterator[str]:
+    for name, (least, most) in ranges.items():
+        value = getattr(recipe, name)
+        if not least <= value <= most:
+            yield (
+                f"{name}: expected {least} to {most}, found {value}"
+                if most < math.inf
+                else (f"{name}: expected {least} or more, found {value}")
+            )
+
+
+def _refusal(source: str, faults: list[str]) -> SettingsError:
+    count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+    return SettingsError(
+        f"{source}: the recipe has {count}; docs/training.md lists the keys:\n"
+        + "\n".join(f"  - {fault}" for fault in faults)
+    )

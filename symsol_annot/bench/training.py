@@ -1,0 +1,273 @@
+"""Training a model by a recipe: epoch after epoch, each of them kept, so that it goes on wherever it was stopped."""
+
+import importlib.util
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from symsol_annot.bench import checkpoints
+from symsol_annot.bench.checkpoints import About, Row
+from symsol_annot.bench.devices import choose_device, has_bfloat16, laid_out_for, largest_that_fits
+from symsol_annot.bench.first_stage import FirstStage
+from symsol_annot.bench.learners import learner_of
+from symsol_annot.bench.pretraining import best_network, trained_networks
+from symsol_annot.bench.recipe import ClassifierRecipe, Recipe
+from symsol_annot.bench.schedules import Moment, moment_at
+from symsol_annot.bench.training_data import decoded, generator, training_data
+from symsol_annot.bench.training_plots import plot_curve
+from symsol_annot.dataset import Dataset, Labels
+from symsol_annot.errors import NotAnnotatedError, SettingsError, TrainingError
+from symsol_annot.files import file_sha256, held_folder
+
+OnStart = Callable[[About, int], object]
+OnImages = Callable[[int], object]
+OnEpoch = Callable[[About], object]
+_STEPS_BETWEEN_CHECKS = 50  # of the loss: each makes the host wait for the GPU
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a recipe is carried out.
+
+    Attributes:
+        epochs: in place of the recipe's, whose schedule is stretched or shortened to them.
+        seed: of first weights, order and random rotations.
+        device: torch's name of one, or "auto".
+        pretrained: hypothesis networks to choose the first stage from; empty for all that lie beside the output folder.
+        is_compiled: whether torch.compile makes the first stage faster, after a minute or so.
+    """
+
+    epochs: int | None = None
+    seed: int = 0
+    device: str = "auto"
+    pretrained: tuple[Path, ...] = ()
+    is_compiled: bool = False
+
+
+def train(
+    recipe: Recipe,
+    dataset: Dataset,
+    out: Path,
+    options: Options,
+    *,
+    name: str = "",
+    on_start: OnStart = lambda *_: None,
+    on_images: OnImages = lambda _: None,
+    on_epoch: OnEpoch = lambda _: None,
+) -> About:
+    """Train a model, or go on with what a folder holds of the same training.
+
+    Args:
+        recipe: for the dataset's object.
+        dataset: the train split.
+        out: the checkpoint's folder.
+        options: epochs, seed, device.
+        name: of the recipe.
+        on_start: told what is there already, and how many images an epoch learns from.
+        on_images: told how many more images were learnt from.
+        on_epoch: told of each epoch, once it is kept.
+
+    Raises:
+        SettingsError: held-out images that leave none, or a device that is not here.
+        NotAnnotatedError: held-out images without symmetry sets.
+        TrainingError: a loss that is not finite, a GPU's memory that is too small, or a folder of another training.
+        WeightsError: first weights that cannot be had, or a damaged checkpoint.
+        OutputError: a file that cannot be written.
+    """
+    device = choose_device(options.device)
+    about = _about(recipe, dataset, options, device, name)
+    _check(recipe, dataset)
+    with held_folder(out), torch.backends.cudnn.flags(enabled=True, benchmark=device.type == "cuda"):
+        run = _Run(about, dataset, out, options, device)
+        on_start(run.about, run.images_an_epoch)
+        while not run.about.is_finished:
+            run.one_epoch(on_images)
+            on_epoch(run.about)
+    return run.about
+
+
+class _Run:
+    """A training under way."""
+
+    def __init__(self, about: About, dataset: Dataset, out: Path, options: Options, device: torch.device) -> None:
+        recipe = about.recipe
+        self.about, self._out, self._device = about, out, device
+        is_begun = (out / checkpoints.STATE).exists()
+        if is_begun:
+            _refuse_other(out, about)
+        first_file, pretrained = (None, None) if is_begun else _start_of(about, out, options)
+        model = checkpoints.new_model(recipe, pretrained, about.seed)
+        if first_file is not None:
+            model.first_stage.load_hypothesis_network(first_file)
+        self._model = laid_out_for(device, model)
+        self._learner = learner_of(recipe, model)
+        self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.rates[0], fused=True)
+        if is_begun:
+            checkpoints.restore(out, model, self._optimizer)
+            self.about = replace(checkpoints.read_about(out / checkpoints.STATE), software=about.software)
+            self._publish()
+        elif first_file is not None:
+            self.about = replace(about, first_stage=f"{first_file.parent.name}, sha256 {file_sha256(first_file)}")
+        if options.is_compiled:
+            model.first_stage.compile()
+        learnt = len(dataset) - recipe.held_out
+        self._data = training_data(dataset[:learnt], recipe.batch, about.seed, device)
+        self._held_out = _held_out(dataset[learnt:]) if recipe.held_out else None
+
+    @property
+    def images_an_epoch(self) -> int:
+        """How many images an epoch learns from."""
+        return self._data.batches_an_epoch() * self._data.batch
+
+    def one_epoch(self, on_images: OnImages) -> None:
+        """Learn from every image once, evaluate, and keep what came of it."""
+        epoch, steps = self.about.epochs_done, self._data.batches_an_epoch()
+        rng = generator(self._device, self.about.seed, epoch, "negatives")
+        start, images_done = time.perf_counter(), 0
+        total = torch.zeros((), device=self._device)
+        self._model.train()
+        for step, (images, R_gt) in enumerate(self._data.batches(epoch)):
+            moment = self._moment(epoch + step / steps)
+            loss = self._step_or_say_what_fits(images, R_gt, moment, rng)
+            total += loss
+            if (step + 1) % _STEPS_BETWEEN_CHECKS == 0:
+                self._refuse_nan(float(total), epoch)
+            images_done += len(images)
+            on_images(len(images))
+        self._refuse_nan(float(total), epoch)
+        last = self._moment(epoch + (steps - 1) / steps)
+        row = {"epoch": epoch + 1, "loss": float(total) / steps, **_as_row(self.about.recipe, last)}
+        row["images_per_second"] = round(images_done / (time.perf_counter() - start), 1)
+        self._refuse_nan(sum(float(t.float().abs().sum()) for t in self._model.state_dict().values()), epoch)
+        if self._held_out:
+            row |= self._learner.evaluate(*self._held_out)
+        self.about = replace(self.about, rows=(*self.about.rows, row))
+        checkpoints.save(self._out, self.about, self._model, self._optimizer)
+        self._publish()
+
+    def _publish(self) -> None:
+        checkpoints.publish(self._out, self.about, self._model)
+        if self.about.rows and importlib.util.find_spec("matplotlib"):
+            plot_curve(self._out / checkpoints.CURVE, self.about)
+
+    def _moment(self, epoch: float) -> Moment:
+        """Return what holds at an epoch of this run, which may have more or fewer than its recipe."""
+        return moment_at(self.about.recipe, epoch * self.about.recipe.epochs / self.about.epochs)
+
+    def _step_or_say_what_fits(self, images: Tensor, R_gt: Tensor, moment: Moment, rng: torch.Generator) -> Tensor:
+        try:
+            return self._step(images, R_gt, moment, rng)
+        except torch.cuda.OutOfMemoryError:
+            pass  # what the step held is let go only outside of this block
+        self._optimizer.zero_grad(set_to_none=True)
+        fitting = largest_that_fits(
+            lambda batch: torch.autograd.backward(
+                self._learner.losses(images[:batch], R_gt[:batch], moment, rng).mean()
+            ),
+            len(images),
+        )
+        advice = f"{fitting} fit: set batch = {fitting} in a recipe of your own" if fitting else "not even one fits"
+        raise TrainingError(
+            f"{self._device}: its memory is too small for a batch of {len(images)} images; {advice}, end what else "
+            f"uses the GPU, or take --device cpu. {self._kept()}"
+        )
+
+    def _step(self, images: Tensor, R_gt: Tensor, moment: Moment, rng: torch.Generator) -> Tensor:
+        _freeze(self._model.first_stage, is_frozen=moment.is_frozen)
+        for group in self._optimizer.param_groups:
+            group["lr"] = moment.rate
+        loss = self._learner.losses(images, R_gt, moment, rng).mean()
+        self._optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        self._optimizer.step()
+        return loss.detach()
+
+    def _refuse_nan(self, value: float, epoch: int) -> None:
+        if not math.isfinite(value):
+            raise TrainingError(
+                f"the loss or a weight is no longer finite in epoch {epoch + 1}: a rate of "
+                f"{self._moment(epoch).rate:g} is too high for this recipe, or the images are damaged (`symsol-annot "
+                f"verify` tells). {self._kept()}"
+            )
+
+    def _kept(self) -> str:
+        done = self.about.epochs_done
+        return f"{self._out} keeps epoch {done}" if done else "Nothing was kept, as no epoch was finished"
+
+
+def _about(recipe: Recipe, dataset: Dataset, options: Options, device: torch.device, name: str) -> About:
+    camera = dataset.manifest.recipe["camera"]
+    epochs = recipe.epochs if options.epochs is None else options.epochs
+    if epochs < 1:
+        raise SettingsError(f"epochs: expected 1 or more, found {epochs}")
+    return About(
+        name=name,
+        recipe=recipe,
+        object=dataset.object,
+        image_size=(camera["width"], camera["height"]),
+        train_fingerprint=dataset.fingerprint,
+        epochs=epochs,
+        seed=options.seed,
+        first_stage=recipe.start,
+        rows=(),
+        software=checkpoints.software(device, "bfloat16 backbone" if has_bfloat16(device) else "float32"),
+    )
+
+
+def _check(recipe: Recipe, dataset: Dataset) -> None:
+    left = len(dataset) - recipe.held_out
+    if left < 2:
+        raise SettingsError(
+            f"{dataset.folder}: its train split has {len(dataset)} images, of which the recipe holds out "
+            f"{recipe.held_out}; 2 or more have to be left. --held-out N holds out fewer"
+        )
+    if recipe.held_out and not dataset.is_annotated:
+        raise NotAnnotatedError(
+            f"{dataset.folder}: the train split was rendered without symmetry sets, so its held-out images cannot be "
+            "scored. `symsol-annot render --annotate all` gives every split its sets; --held-out 0 trains unscored"
+        )
+
+
+def _refuse_other(out: Path, about: About) -> None:
+    there = checkpoints.read_about(out / checkpoints.STATE)
+    differences = there.differences(about)
+    if differences:
+        raise TrainingError(
+            f"{out} holds another training; nothing was touched. It differs in:\n"
+            + "\n".join(f"  - {line}" for line in differences)
+            + "\nUse another --out folder, or delete that one."
+        )
+
+
+def _start_of(about: About, out: Path, options: Options) -> tuple[Path | None, str | None]:
+    """Return the weights of a hypothesis network to begin with, and what its backbone begins with."""
+    start = about.recipe.start
+    if start in ("imagenet", "random"):
+        return None, "imagenet" if start == "imagenet" else None
+    candidates = options.pretrained or trained_networks(out.resolve().parent, about)
+    return best_network(candidates, about, start), None
+
+
+def _held_out(dataset: Dataset) -> tuple[Tensor, Labels]:
+    return decoded(dataset)[0], dataset.labels()
+
+
+def _freeze(stage: FirstStage, *, is_frozen: bool) -> None:
+    if is_frozen == next(stage.parameters()).requires_grad:
+        (stage.freeze if is_frozen else stage.unfreeze)()
+
+
+def _as_row(recipe: Recipe, moment: Moment) -> Row:
+    row: Row = {"rate": moment.rate}
+    if isinstance(recipe, ClassifierRecipe):
+        return row | {"is_frozen": float(moment.is_frozen)}
+    if recipe.meta_loss == "ewta":
+        row["winners"] = moment.winners
+    if recipe.embedded_loss == "von-mises":
+        row["concentration"] = moment.concentration
+    return row

@@ -1,0 +1,239 @@
+"""Recipes: each row of the thesis's tables has one with its settings, and what makes no sense is refused in full."""
+
+import re
+import subprocess
+import sys
+import zipfile
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from symsol_annot.bench.recipe import (
+    ClassifierRecipe,
+    HypothesisRecipe,
+    builtin_recipes,
+    load_recipe,
+    parse_recipe,
+    recipe_from_toml,
+    recipe_to_toml,
+)
+from symsol_annot.bench.schedules import moment_at
+from symsol_annot.errors import SettingsError
+
+ROOT = Path(__file__).resolve().parent.parent
+UNMARKED, MARKED = ("tet", "cube", "icosa", "cone", "cyl"), ("tetX", "cylO")
+HYPOTHESES = [f"{meta}-{loss}" for meta in ("wta", "rwta", "ewta") for loss in ("cosine", "von-mises")]
+STARRED = ("cube", "cone", "cyl", "tetX", "cylO")  # in table 7.1: the rate is 1e-4 from epoch 4
+
+GOOD = """
+title = "a test"
+model = "hypotheses"
+start = "random"
+hypotheses = 4
+meta_loss = "ewta"
+embedded_loss = "von-mises"
+batch = 8
+epochs = 10
+epochs_to_one = 5
+rates = [1e-3, 1e-4]
+rates_drop_after = [8]
+"""
+
+
+def recipe(name, of="tet"):
+    return load_recipe(name).for_object(of, has_marking=of in MARKED)
+
+
+def moments(recipe):
+    return [moment_at(recipe, epoch) for epoch in range(recipe.epochs)]
+
+
+def changed(text, **keys):
+    """The recipe with keys replaced, added, or where None left out."""
+    lines = [line for line in text.splitlines() if line.split(" = ")[0] not in keys]
+    return "\n".join([*lines, *(f"{key} = {value}" for key, value in keys.items() if value is not None)])
+
+
+def refusal(text):
+    with pytest.raises(SettingsError) as caught:
+        parse_recipe(text, "mine.toml")
+    assert str(caught.value).startswith("mine.toml: ")
+    return str(caught.value)
+
+
+# --- the thesis's rows ---
+
+
+@pytest.mark.parametrize("of", [*UNMARKED, *MARKED])
+@pytest.mark.parametrize("name", HYPOTHESES)
+def test_tables_5_1_and_5_2_have_a_recipe_a_row(name, of):
+    row, meta = recipe(name, of), name.partition("-")[0]
+    assert isinstance(row, HypothesisRecipe)
+    assert (row.meta_loss, row.batch, row.start) == (meta, 64, "imagenet")
+    assert row.embedded_loss == ("cyclic-cosine" if name.endswith("cosine") else "von-mises")
+    assert row.hypotheses == (75 if of == "icosa" else 30)
+    assert (row.epsilon, row.concentration) == (0.05, 4.0)
+    rates = [moment.rate for moment in moments(row)]
+    expected = {
+        (False, False): [1e-3] * 15 + [1e-4] * 10 + [1e-5] * 5,
+        (False, True): [1e-3] * 30 + [1e-4] * 5,
+        (True, False): [1e-3] * 25 + [1e-4] * 15 + [1e-5] * 10,
+        (True, True): [1e-3] * 42 + [1e-4] * 8,
+    }
+    assert rates == expected[of in MARKED, meta == "ewta"]
+
+
+@pytest.mark.parametrize(("of", "epochs_above_one"), [("tet", 20), ("icosa", 20), ("tetX", 30)])
+def test_k_is_halved_until_it_is_one(of, epochs_above_one):
+    k = [moment.winners for moment in moments(recipe("ewta-von-mises", of))]
+    assert k[0] == (75 if of == "icosa" else 30)
+    assert all(later in (earlier, earlier // 2) for earlier, later in pairwise(k))
+    assert [number > 1 for number in k] == [epoch < epochs_above_one for epoch in range(len(k))]
+
+
+@pytest.mark.parametrize(
+    ("name", "differs"),
+    [
+        ("classifier", {}),
+        ("classifier-best-precision", {"start": "best-precision"}),
+        ("classifier-no-encoding", {"frequencies": 0}),
+        ("classifier-no-pretraining", {"start": "imagenet"}),
+        *((f"classifier-k{K}", {"negatives": K}) for K in (64, 128, 512, 1024)),
+    ],
+)
+def test_table_7_1_and_figure_7_4_have_a_recipe_a_row(name, differs):
+    for of in (*UNMARKED, *MARKED):
+        row = recipe(name, of)
+        assert isinstance(row, ClassifierRecipe)
+        expected = {"start": "best-recall", "frequencies": 3, "negatives": 256, **differs}
+        assert {key: getattr(row, key) for key in expected} == expected
+        assert row.batch == 32
+        first_drop = 4 if name == "classifier-no-pretraining" and of in STARRED else 15
+        rates = [1e-3] * first_drop + [1e-4] * (25 - first_drop) + [1e-5] * 5
+        assert [moment.rate for moment in moments(row)] == rates
+        assert [moment.is_frozen for moment in moments(row)] == [True] * 4 + [False] * 26
+
+
+def test_the_future_work_has_recipes_in_which_one_thing_is_new():
+    annealed, smooth = recipe("ewta-von-mises-annealed"), recipe("ewta-von-mises-smooth")
+    K = [moment_at(annealed, epoch / 4).concentration for epoch in range(4 * annealed.epochs)]
+    assert (K[0], K[-1]) == (0.5, 4.0)
+    assert all(earlier <= later < 1.1 * earlier for earlier, later in pairwise(K))
+    k = [moment_at(smooth, epoch / 50).winners for epoch in range(50 * smooth.epochs)]
+    assert (k[0], k[50 * smooth.epochs_to_one - 1], k[-1]) == (30, 1, 1)
+    assert set(k) == set(range(1, 31))
+    assert k == sorted(k, reverse=True)
+    assert moments(annealed)[3].winners == moments(recipe("ewta-von-mises"))[3].winners
+
+
+def test_the_small_tier_starts_at_random_and_says_so():
+    names = [name for name in builtin_recipes() if name.startswith("small-")]
+    assert len(names) == 6
+    for name in names:
+        small = recipe(name, "cylO")
+        assert "random start" in small.title
+        assert small.start == (
+            "best-recall" if name in ("small-classifier", "small-classifier-no-encoding") else "random"
+        )
+    assert recipe("small-classifier-no-encoding").frequencies == 0
+
+
+def test_no_built_in_recipe_is_without_a_test_and_each_has_a_title_of_its_own():
+    known = {*HYPOTHESES, "wta-von-mises-annealed", "ewta-von-mises-smooth-annealed"}
+    named = set(re.findall(r'"([\w-]+)"', Path(__file__).read_text())) | {
+        f"classifier-k{K}" for K in (64, 128, 512, 1024)
+    }
+    names = builtin_recipes()
+    assert [name for name in names if name not in known | named and not name.startswith("small-")] == []
+    assert len({load_recipe(name).title for name in names}) == len(names)
+
+
+def test_the_recipes_are_in_the_wheel(tmp_path):
+    code = "import setuptools.build_meta as b; print(b.build_wheel(__import__('sys').argv[1]))"
+    copy = tmp_path / "source"
+    copied = ["pyproject.toml", "README.md", "LICENSE", "symsol_annot", "cli", "blender_assets"]
+    copy.mkdir()
+    for name in copied:
+        subprocess.run(["cp", "-r", ROOT / name, copy], check=True)
+    subprocess.run([sys.executable, "-c", code, tmp_path], cwd=copy, capture_output=True, check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as content:
+        found = [Path(name).stem for name in content.namelist() if "/bench/recipes/" in name]
+    assert sorted(found) == builtin_recipes()
+
+
+# --- reading and writing ---
+
+
+@pytest.mark.parametrize("name", builtin_recipes())
+def test_a_recipe_written_is_read_as_it_was_and_holds_every_key(name):
+    for of in ("cylO", "icosa"):
+        made = recipe(name, of)
+        text = recipe_to_toml(made)
+        assert recipe_from_toml(text, "a checkpoint") == made
+        assert "batch = " in text
+
+
+def test_an_objects_own_keys_come_before_those_of_marked_objects():
+    file = parse_recipe(f"{GOOD}\n[marked]\nepochs = 20\nbatch = 16\n[objects.cylO]\nbatch = 32\n", "mine.toml")
+    found = [file.for_object(name, has_marking=m) for name, m in (("tet", False), ("mug", True), ("cylO", True))]
+    assert [(one.epochs, one.batch) for one in found] == [(10, 8), (20, 16), (20, 32)]
+
+
+# --- refusals ---
+
+
+def test_a_name_that_is_none_is_refused_with_those_that_are():
+    with pytest.raises(SettingsError, match=r"no such file, and no built-in recipe.*small-wta"):
+        load_recipe("smal-wta")
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"learning_rate": 1}, "learning_rate: is no key of a hypotheses recipe; keys are title, epochs, batch"),
+        ({"negatives": 8}, "negatives: is no key of a hypotheses recipe"),
+        ({"batch": None}, "batch: is missing"),
+        ({"model": '"mlp"'}, "model: expected hypotheses or classifier, found 'mlp'"),
+        ({"meta_loss": '"awta"'}, "meta_loss: expected one of wta, rwta, ewta, found 'awta'"),
+        ({"epochs_to_one": 10}, "k would never be 1"),
+        ({"epochs_to_one": None}, "k would never be 1"),
+        ({"meta_loss": '"wta"'}, "epochs_to_one: belongs to the meta loss ewta, found wta"),
+        ({"rates": "[1e-3]"}, "rates: expected one more than rates_drop_after, which are 1, found 1"),
+        ({"rates": "[1e-3, -1e-4]"}, "rates: expected numbers above 0"),
+        ({"rates": "[nan, 1e-4]"}, "rates: expected numbers above 0"),
+        ({"rates": "1e-3"}, "rates: expected a list of numbers, found 0.001"),
+        ({"rates_drop_after": "[10]"}, "rates_drop_after: expected epochs from 1 to 9, found [10]"),
+        ({"rates_drop_after": "[5, 5]", "rates": "[1, 1, 1]"}, "rates_drop_after: expected ascending epochs"),
+        ({"epochs": 2.5}, "epochs: expected a whole number, found 2.5"),
+        ({"epochs": "true"}, "epochs: expected a number, found True"),
+        ({"batch": 1}, "batch: expected 2 to 65536, found 1"),
+        ({"hypotheses": 0}, "hypotheses: expected 1 to 10000, found 0"),
+        ({"concentration": 0}, "concentration: expected a number above 0"),
+        ({"concentration_at_first": 1.0}, "expected both or neither"),
+        ({"title": 3}, "title: expected text, found 3"),
+    ],
+)
+def test_a_recipe_that_makes_no_sense_is_refused(keys, said):
+    assert said in refusal(changed(GOOD, **keys))
+
+
+def test_all_faults_are_told_at_once_with_the_table_they_are_in():
+    message = refusal(f"{changed(GOOD, batch=0, hypotheses=0)}\n[marked]\nepochs = 3\n[objects.cube]\nepoch = 3\n")
+    assert "batch: expected" in message
+    assert "hypotheses: expected" in message
+    assert "[marked]: epochs_to_one: expected 0 to 2" in message
+    assert "[objects.cube]: epoch: is no key" in message
+
+
+@pytest.mark.parametrize("text", ["title = ", "marked = 3", "[objects]\ncube = 1"])
+def test_what_is_no_recipe_is_refused(text):
+    assert "is no TOML" in refusal(text) or "expected a table of keys" in refusal(text)
+
+
+def test_a_file_that_cannot_be_read_is_refused(tmp_path):
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    for path in (tmp_path, tmp_path / "binary.toml"):
+        with pytest.raises(SettingsError, match="the recipe cannot be read"):
+            load_recipe(str(path))

@@ -1,0 +1,498 @@
+"""Training on tiny images: it learns, goes on as if it had never stopped, and refuses what cannot be trained on."""
+
+import csv
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+from bench_sets import DiscRenderer
+from conftest import make_plan, make_set, threads
+from symsol_annot_cli.main import main
+
+from symsol_annot.bench import checkpoints, training, training_data
+from symsol_annot.bench.checkpoints import best_epoch, open_checkpoint, read_about
+from symsol_annot.bench.devices import largest_that_fits
+from symsol_annot.bench.inference import predict
+from symsol_annot.bench.learners import HypothesisLearner, random_rotations
+from symsol_annot.bench.pretraining import best_network, trained_networks
+from symsol_annot.bench.recipe import ClassifierRecipe, HypothesisRecipe
+from symsol_annot.bench.scoring import score_file
+from symsol_annot.bench.training import Options, train
+from symsol_annot.bench.training_data import InMemory, Streamed
+from symsol_annot.bench.weights import read_weights
+from symsol_annot.dataset import load
+from symsol_annot.errors import DataError, NotAnnotatedError, SettingsError, TrainingError, WeightsError
+from symsol_annot.generate import generate
+from symsol_annot.so3 import rotation_deviation
+
+torch.set_num_threads(1)
+
+HYPOTHESES = HypothesisRecipe(
+    title="tiny",
+    epochs=4,
+    batch=8,
+    rates=(1e-3, 1e-4),
+    rates_drop_after=(3,),
+    held_out=4,
+    hypotheses=4,
+    meta_loss="ewta",
+    embedded_loss="von-mises",
+    epochs_to_one=3,
+    start="random",
+)
+CLASSIFIER = ClassifierRecipe(
+    title="tiny",
+    epochs=4,
+    batch=8,
+    rates=(1e-3, 1e-4),
+    rates_drop_after=(3,),
+    held_out=4,
+    negatives=16,
+    frozen_epochs=2,
+    start="random",
+    evaluation_level=0,
+)
+RECIPES = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER}
+CPU = Options(device="cpu")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """A folder of sets: tetX, of images so small that a training takes seconds."""
+    folder = tmp_path_factory.mktemp("training") / "data"
+    make_set(folder, "tetX", train=20, test=3, size=16, annotate="all")
+    return folder
+
+
+@pytest.fixture
+def images(data):
+    return load(data / "tetX", "train")
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """A folder an architecture, each trained without a stop."""
+    runs = tmp_path_factory.mktemp("runs")
+    for name, recipe in RECIPES.items():
+        train(recipe, load(data / "tetX", "train"), runs / name, CPU, name=name)
+    return {name: runs / name for name in RECIPES}
+
+
+@pytest.fixture
+def here(monkeypatch, capfd):
+    """The command line in this process."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["symsol-annot", *(str(word) for word in arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return subprocess.CompletedProcess(arguments, ended.value.code, *capfd.readouterr())
+
+    return call
+
+
+def same_tensors(path_a, path_b):
+    a, b = read_weights(path_a), read_weights(path_b)
+    return set(a) == set(b) and all(torch.equal(a[name], b[name]) for name in a)
+
+
+def copy_of(file, to, change=None, metadata=None):
+    """A checkpoint's file with its tensors or metadata changed."""
+    with safetensors.safe_open(file, framework="pt") as content:
+        known = content.metadata()
+    tensors = read_weights(file)
+    if change:
+        change(tensors)
+    safetensors.torch.save_file(tensors, to, {**known, **(metadata or {})})
+    return to
+
+
+# --- learning ---
+
+
+def test_a_handful_of_images_is_learnt_by_heart_and_scores_a_recall_over_0_9(tmp_path, monkeypatch):
+    """On cylO, whose images have sets of one where the disc shows; predicted and scored on the images learnt."""
+    plan = make_plan("cylO", train=8, test=0, size=32, annotate="all")
+    generate(plan, tmp_path / "cylO", threads(partial(DiscRenderer, 32), exhaustive=True))
+    monkeypatch.setattr(training, "plot_curve", lambda *_: None)
+    for name in ("save", "publish"):  # a few images make many epochs; only the last is kept
+        keep = getattr(checkpoints, name)
+        monkeypatch.setattr(checkpoints, name, lambda *given, keep=keep: given[1].is_finished and keep(*given))
+    schedule = {"epochs": 30, "rates_drop_after": (20,), "held_out": 0}
+    wta = replace(HYPOTHESES, **schedule, meta_loss="wta", epochs_to_one=None)
+    schedule = {"epochs": 180, "rates_drop_after": (160,), "held_out": 0, "frozen_epochs": 179}
+    frozen = replace(CLASSIFIER, **schedule, start="best-recall")
+    path = tmp_path / "preds.h5"
+    with load(tmp_path / "cylO", "train") as images:
+        for track, recipe in {"hypotheses": wta, "classifier": frozen}.items():
+            losses = [row["loss"] for row in train(recipe, images, tmp_path / track, CPU).rows]
+            assert np.mean(losses[-5:]) < 0.5 * np.mean(losses[:5]), track
+        assert (
+            predict(open_checkpoint(tmp_path / "classifier"), images, path, torch.device("cpu"), level=1)
+            == "classifier"
+        )
+    figures = score_file(path, tmp_path).tracks["classifier"].figures["shown"]
+    assert figures["recall"].images == 6
+    assert figures["recall"].value > 0.9
+    assert figures["precision"].value > 0.5
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_folder_holds_weights_state_recipe_figures_and_a_curve(name, trained):
+    folder = trained[name]
+    assert {path.name for path in folder.iterdir()} == {
+        *("weights.safetensors", "best.safetensors", "state.safetensors", "recipe.toml", "metrics.csv", "curve.png"),
+    }
+    about = read_about(folder / "weights.safetensors")
+    assert (about.name, about.recipe, about.object, about.image_size) == (name, RECIPES[name], "tetX", (16, 16))
+    assert about.software["torch"] == torch.__version__
+    with (folder / "metrics.csv").open() as file:
+        rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    assert rows == [dict(row) for row in about.rows]
+    assert [row["epoch"] for row in rows] == [1, 2, 3, 4]
+    assert [row["rate"] for row in rows] == [1e-3, 1e-3, 1e-3, 1e-4]
+    best = best_epoch(about)
+    best_rows = read_about(folder / "best.safetensors").rows
+    assert len(best_rows) == best
+    assert best_rows == about.rows[:best]
+    assert (folder / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_k_and_freezing_follow_the_recipe(trained):
+    k = [row["winners"] for row in read_about(trained["hypotheses"] / "weights.safetensors").rows]
+    frozen = [row["is_frozen"] for row in read_about(trained["classifier"] / "weights.safetensors").rows]
+    assert k == [4, 4, 2, 1]
+    assert frozen == [1, 1, 0, 0]
+
+
+def test_a_frozen_first_stage_is_that_of_the_network_it_began_with(trained, images, tmp_path):
+    recipe = replace(CLASSIFIER, epochs=1, rates=(1e-3,), rates_drop_after=(), frozen_epochs=1, start="best-recall")
+    recipe = replace(recipe, epochs=1, frozen_epochs=1)
+    about = train(recipe, images, tmp_path / "c", replace(CPU, pretrained=(trained["hypotheses"],)))
+    ours, theirs = (read_weights(folder / "weights.safetensors") for folder in (tmp_path / "c", trained["hypotheses"]))
+    stage = [name for name in ours if name.startswith("first_stage.")]
+    assert len(stage) > 100
+    assert all(torch.equal(ours[name], theirs[name]) for name in stage)
+    assert about.first_stage.startswith("hypotheses, sha256 ")
+
+
+def test_epochs_stretch_the_schedule(images, tmp_path):
+    about = train(HYPOTHESES, images, tmp_path / "run", replace(CPU, epochs=2))
+    assert [row["rate"] for row in about.rows] == [1e-3, 1e-4]  # of an epoch the last moment: 1.5 and 3.5 of 4
+    assert about.is_finished
+
+
+# --- going on ---
+
+
+@pytest.mark.parametrize(("name", "stops"), [("hypotheses", 3), ("classifier", 1)])
+def test_going_on_gives_the_weights_of_not_stopping(name, stops, trained, images, tmp_path):
+    class StopError(Exception):
+        pass
+
+    done = 0
+
+    def stop_in_the_middle(count):
+        nonlocal done
+        done += count
+        if done == 16 * stops + 8:  # in the middle of an epoch
+            raise StopError
+
+    out = tmp_path / "run"
+    with pytest.raises(StopError):
+        train(RECIPES[name], images, out, CPU, name=name, on_images=stop_in_the_middle)
+    assert read_about(out / "weights.safetensors").epochs_done == stops
+    (out / "weights.safetensors").unlink()  # as if it had been stopped between two files
+    begun = []
+    train(
+        RECIPES[name], images, out, CPU, name=name, on_start=lambda *told: begun.append((told[0].epochs_done, told[1]))
+    )
+    assert begun == [(stops, 16)]
+    for file in ("weights.safetensors", "state.safetensors", "best.safetensors"):
+        assert same_tensors(out / file, trained[name] / file)
+
+
+def test_a_finished_training_is_left_as_it_is(trained, images):
+    before = (trained["hypotheses"] / "state.safetensors").read_bytes()
+    about = train(HYPOTHESES, images, trained["hypotheses"], CPU, name="hypotheses")
+    assert about.is_finished
+    assert (trained["hypotheses"] / "state.safetensors").read_bytes() == before
+
+
+def test_another_seed_is_another_training(trained, images):
+    first, second = (checkpoints.new_model(HYPOTHESES, None, seed).state_dict()["output.weight"] for seed in (0, 1))
+    assert not torch.equal(first, second)
+    with pytest.raises(TrainingError, match=r"holds another training; nothing was touched.*\n  - seed: there 0"):
+        train(HYPOTHESES, images, trained["hypotheses"], replace(CPU, seed=1), name="hypotheses")
+    with pytest.raises(TrainingError, match=r"\n  - recipe: there HypothesisRecipe"):
+        train(replace(HYPOTHESES, batch=4), images, trained["hypotheses"], CPU, name="hypotheses")
+
+
+# --- batches ---
+
+
+def test_an_epoch_has_each_image_once_in_an_order_of_its_own(images):
+    held = InMemory(images, 5, 3, torch.device("cpu"), on_device=True)
+    epochs = [torch.cat([R for _, R in held.batches(epoch)]) for epoch in (0, 1, 0)]
+    assert all(len(torch.unique(R, dim=0)) == len(R) == 20 for R in epochs)
+    assert torch.equal(epochs[0], epochs[2])
+    assert not torch.equal(epochs[0], epochs[1])
+    for pictures, R_gt in held.batches(0):
+        for picture, R in zip(pictures, R_gt, strict=True):
+            (row,) = [s for s in images if np.allclose(s.rotation, R, atol=1e-6)]
+            assert np.array_equal(row.image, picture)
+
+
+def test_images_that_are_fewer_than_a_batch_are_left_out_of_an_epoch(images):
+    held = InMemory(images, 8, 0, torch.device("cpu"), on_device=True)
+    assert [len(R) for _, R in held.batches(0)] == [8, 8]
+    assert held.batches_an_epoch() == 2
+    small = InMemory(images[:6], 8, 0, torch.device("cpu"), on_device=True)
+    assert [len(R) for _, R in small.batches(0)] == [6]
+
+
+def test_workers_read_the_same_images_where_memory_is_too_small(images, monkeypatch):
+    monkeypatch.setattr(training_data, "free_bytes", lambda _: 1000)
+    monkeypatch.setattr(training_data, "cores", lambda: 2)
+    streamed = training_data.training_data(images, 5, 0, torch.device("cpu"))
+    assert isinstance(streamed, Streamed)
+    batches = list(streamed.batches(0))
+    assert len(batches) == streamed.batches_an_epoch() == 4
+    R_gt = torch.cat([R for _, R in batches])
+    assert len(torch.unique(R_gt, dim=0)) == 20
+    assert batches[0][0].dtype == torch.uint8
+
+
+def test_random_rotations_are_rotations_all_over():
+    R = random_rotations((4000,), torch.Generator().manual_seed(0)).double().numpy()
+    assert rotation_deviation(R).max() < 1e-5
+    assert np.abs(R.mean(axis=0)).max() < 0.05
+    assert np.abs((R[:, :, :, None] * R[:, :, None, :]).mean(axis=(0, 1)) - np.eye(3) / 3).max() < 0.02
+
+
+# --- which network a classifier begins with ---
+
+
+def test_the_best_network_has_the_lowest_error_and_on_a_tie_the_lower_other(trained, tmp_path):
+    like = read_about(trained["hypotheses"] / "weights.safetensors")
+    errors = {"a": (0.1004, 0.30), "b": (0.1001, 0.20), "c": (0.20, 0.10), "unfinished": (0.0, 0.0)}
+    for name, (recall, precision) in errors.items():
+        (tmp_path / name).mkdir()
+        known = json.loads(json.dumps(list(like.rows)))
+        known[-1] |= {"recall_mean_error_rad": recall, "precision_mean_error_rad": precision}
+        about = replace(like, rows=tuple(known[: 3 if name == "unfinished" else 4]))
+        copy_of(
+            trained["hypotheses"] / "weights.safetensors",
+            tmp_path / name / "weights.safetensors",
+            metadata=checkpoints._metadata(about),
+        )
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "weights.safetensors").write_bytes(b"not ours")
+    candidates = trained_networks(tmp_path, like)
+    assert [path.parent.name for path in candidates] == ["a", "b", "c"]
+    assert best_network(candidates, like, "best-recall").parent.name == "b"
+    assert best_network(candidates, like, "best-precision").parent.name == "c"
+
+
+def test_no_network_or_one_that_does_not_fit_is_refused(trained, images, tmp_path):
+    recipe = replace(CLASSIFIER, start="best-recall")
+    with pytest.raises(WeightsError, match=r"there is none; train one .*small-wta.*--pretrained"):
+        train(recipe, images, tmp_path / "alone" / "run", CPU)
+    with pytest.raises(WeightsError, match="expected a hypothesis network"):
+        train(recipe, images, tmp_path / "run", replace(CPU, pretrained=(trained["classifier"],)))
+    about = replace(read_about(trained["hypotheses"] / "weights.safetensors"), image_size=(224, 224))
+    with pytest.raises(WeightsError, match=r"was trained on \(16, 16\), the set has \(224, 224\)"):
+        best_network([trained["hypotheses"]], about, "best-recall")
+    assert not (tmp_path / "run").exists()
+
+
+# --- refusals ---
+
+
+def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_epoch(images, tmp_path, monkeypatch):
+    losses, calls = HypothesisLearner.losses, 0
+
+    def broken(*arguments):
+        nonlocal calls
+        calls += 1
+        return losses(*arguments) * (float("nan") if calls > 4 else 1.0)
+
+    monkeypatch.setattr(HypothesisLearner, "losses", broken)
+    with pytest.raises(TrainingError, match=r"no longer finite in epoch 3: a rate of 0.001 .* keeps epoch 2"):
+        train(HYPOTHESES, images, tmp_path / "run", CPU, name="hypotheses")
+    kept = open_checkpoint(tmp_path / "run")
+    assert kept.about.epochs_done == 2
+    assert all(tensor.isfinite().all() for tensor in kept.model.state_dict().values())
+
+
+def test_a_gpu_that_is_too_small_says_the_batch_that_fits(images, tmp_path, monkeypatch):
+    losses = HypothesisLearner.losses
+
+    def hungry(self, pictures, *rest):
+        if len(pictures) > 3:
+            raise torch.cuda.OutOfMemoryError
+        return losses(self, pictures, *rest)
+
+    monkeypatch.setattr(HypothesisLearner, "losses", hungry)
+    with pytest.raises(
+        TrainingError, match=r"too small for a batch of 8 images; 2 fit: set batch = 2.*Nothing was kept"
+    ):
+        train(HYPOTHESES, images, tmp_path / "run", CPU)
+    assert not (tmp_path / "run").exists()
+
+
+def test_halving_ends_with_none_where_not_even_one_fits():
+    def never(_):
+        raise torch.cuda.OutOfMemoryError
+
+    assert largest_that_fits(never, 64) is None
+    assert largest_that_fits(lambda _: None, 64) == 32
+
+
+def test_a_split_without_sets_is_trained_on_only_without_scores(tmp_path):
+    folder = make_set(tmp_path, "tetX", train=10, test=2, size=16, annotate="test")
+    with load(folder, "train") as images:
+        with pytest.raises(NotAnnotatedError, match=r"--annotate all.*--held-out 0"):
+            train(HYPOTHESES, images, tmp_path / "run", CPU)
+        about = train(replace(HYPOTHESES, held_out=0, epochs=4), images, tmp_path / "run", replace(CPU, epochs=1))
+    assert "recall_mean_error_rad" not in about.rows[0]
+    assert not (tmp_path / "run" / "best.safetensors").exists()
+
+
+def test_held_out_images_that_leave_none_and_a_device_that_is_not_here_are_refused(images, tmp_path):
+    with pytest.raises(SettingsError, match=r"has 20 images, of which the recipe holds out 19; 2 or more"):
+        train(replace(HYPOTHESES, held_out=19), images, tmp_path / "run", CPU)
+    for name in ("cuda:9", "gpu"):
+        with pytest.raises(SettingsError, match=f"there is no '{name}' here"):
+            train(HYPOTHESES, images, tmp_path / "run", replace(CPU, device=name))
+    with pytest.raises(SettingsError, match="epochs: expected 1 or more, found 0"):
+        train(HYPOTHESES, images, tmp_path / "run", replace(CPU, epochs=0))
+
+
+@pytest.mark.parametrize("damage", ["cut", "no checkpoint", "of a later version", "another architecture", "bad recipe"])
+def test_a_damaged_or_foreign_checkpoint_is_refused(damage, trained, tmp_path):
+    whole, path = trained["hypotheses"] / "weights.safetensors", tmp_path / "weights.safetensors"
+    match damage:
+        case "cut":
+            path.write_bytes(whole.read_bytes()[:-1000])
+            said = "the checkpoint is damaged"
+        case "no checkpoint":
+            safetensors.torch.save_file({"a": torch.zeros(1)}, path)
+            said = "no checkpoint of `symsol-annot train`"
+        case "of a later version":
+            copy_of(whole, path, metadata={"format_version": "2"})
+            said = "is of format version 2, this program reads 1"
+        case "another architecture":
+            copy_of(whole, path, lambda tensors: tensors.update(extra=tensors.pop("output.bias")))
+            said = r"not the weights of its recipe, hypotheses:\n  - 1 missing: output.bias"
+        case "bad recipe":
+            copy_of(whole, path, metadata={"recipe": "model = 'hypotheses'"})
+            said = "what it says of its training is damaged"
+    with pytest.raises(WeightsError, match=said):
+        open_checkpoint(path)
+
+
+def test_a_damaged_state_is_refused_and_nothing_lost(trained, images, tmp_path):
+    out = tmp_path / "run"
+    out.mkdir()
+    state = trained["hypotheses"] / "state.safetensors"
+
+    def transpose(tensors):
+        tensors["exp_avg/output.weight"] = tensors["exp_avg/output.weight"].T.contiguous()
+
+    copy_of(state, out / "state.safetensors", transpose)
+    before = (out / "state.safetensors").read_bytes()
+    with pytest.raises(WeightsError, match=r"Adam's means of output.weight are not of its shape"):
+        train(HYPOTHESES, images, out, CPU, name="hypotheses")
+    assert (out / "state.safetensors").read_bytes() == before
+    (out / "state.safetensors").write_bytes(before[:5000])
+    with pytest.raises(WeightsError, match="is damaged"):
+        train(HYPOTHESES, images, out, CPU, name="hypotheses")
+
+
+def test_checkpoints_hold_no_pickles(trained):
+    for folder in trained.values():
+        for file in folder.glob("*.safetensors"):
+            safetensors.torch.load(file.read_bytes())
+
+
+# --- the command ---
+
+
+RECIPE_TOML = """
+title = "tiny"
+model = "hypotheses"
+start = "random"
+hypotheses = 4
+meta_loss = "wta"
+embedded_loss = "cyclic-cosine"
+batch = 8
+epochs = 1
+rates = [1e-3]
+rates_drop_after = []
+held_out = 4
+"""
+
+
+def test_train_predict_and_score_from_the_command_line(data, here, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiny.toml").write_text(RECIPE_TOML)
+    done = here("train", "tiny.toml", "--data", data, "--device", "cpu")
+    assert (done.returncode, done.stderr) == (0, "")  # no bar where there is no terminal
+    assert "epoch 1/1: loss" in done.stdout
+    assert "symsol-annot predict runs/tetX-tiny" in done.stdout
+    again = here("train", "tiny.toml", "--data", data, "--device", "cpu")
+    assert again.stdout.startswith("goes on after epoch 1 of 1")
+    done = here("predict", "runs/tetX-tiny", "--data", data, "--device", "cpu", "--out", "preds.h5")
+    assert (done.returncode, done.stderr) == (0, "")
+    done = here("score", "preds.h5", "--data", data)
+    assert done.stdout.startswith("tetX, test split, 3 images: tiny")
+
+
+def test_the_command_lists_recipes(here):
+    done = here("train", "--list")
+    assert done.returncode == 0
+    assert "small-wta" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["no-such-recipe"], "no such file, and no built-in recipe of that name"),
+        (["small-wta", "--data", "nowhere"], "nowhere: expected a set to train on, found none"),
+        (["small-wta", "--object", "cube"], "holds no set of the object 'cube'"),
+        (["small-wta"], "of which the recipe holds out 200"),
+        (["small-wta", "--held-out", "0", "--device", "cuda:7"], "there is no 'cuda:7' here"),
+    ],
+)
+def test_train_refuses_in_one_message(words, said, data, here, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = words if "--data" in words else [*words, "--data", data]
+    done = here("train", *words)
+    assert done.returncode == 1
+    assert said in done.stderr
+    assert done.stderr.startswith("Error: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_train_refuses_a_set_without_a_train_split_and_several_without_a_name(data, here, tmp_path):
+    make_set(tmp_path / "data", "tetX", test=2, size=16)
+    done = here("train", "small-wta", "--data", tmp_path / "data", "--out", tmp_path / "run")
+    assert (done.returncode, "has no split 'train'; it has test" in done.stderr) == (1, True)
+    make_set(tmp_path / "data", "tet", test=2, size=16)
+    done = here("train", "small-wta", "--data", tmp_path / "data", "--out", tmp_path / "run")
+    assert (done.returncode, "several: tet, tetX; --object names one" in done.stderr) == (1, True)
+    done = here("train", "small-wta", "--data", tmp_path / "data" / "tet", "--object", "cube")
+    assert done.returncode == 1
+
+
+def test_the_library_refuses_a_missing_split(data):
+    with pytest.raises(DataError, match="has no split 'validation'"):
+        load(data / "tetX", "validation")
+    assert training.Options().device == "auto"
