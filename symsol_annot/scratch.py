@@ -25,7 +25,11 @@ class Scratch:
         self._descriptor = -1
         while self._descriptor < 0:  # a sweep can take a folder between its making and its locking
             self.path = Path(tempfile.mkdtemp(prefix=_PREFIX))
-            self._descriptor = _locked_descriptor(self.path)
+            try:
+                self._descriptor = _locked_descriptor(self.path)
+            except OSError:  # too many open files
+                self.path.rmdir()
+                raise
 
     def close(self) -> None:
         """Remove the folder, where that was not done already."""
@@ -59,10 +63,14 @@ def sweep() -> None:
 
 
 def _locked_descriptor(folder: Path) -> int:
-    """Open a folder (no link to one) and lock it; -1 where it is gone or somebody else's."""
+    """Open a folder (no link to one) and lock it; -1 where it is gone or somebody else's.
+
+    Raises:
+        OSError: it cannot be opened, though it is there.
+    """
     try:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except OSError:
+    except FileNotFoundError:
         return -1
     if try_lock(descriptor) and folder.exists():
         return descriptor

@@ -93,11 +93,13 @@ def test_a_killed_dask_worker_costs_its_shard_and_nothing_else(tmp_path, whole):
 
 def test_a_killed_blender_on_a_dask_worker_is_begun_again_and_told_of_with_the_worker(tmp_path, cluster, whole):
     events = []
+    with Client(cluster, set_as_default=False) as client:
+        workers = list(client.run(os.getpid).values())
 
     def on_event(event):
         events.append(event)
         if isinstance(event, ShardFinished) and not any(isinstance(event, ShardBegunAgain) for event in events):
-            subprocess.run(["pkill", "-KILL", "-n", "-f", "symsol_annot.shard_process"], check=True)
+            os.kill(next(blender for worker in workers for blender in blenders_of(worker)), signal.SIGKILL)
 
     generate(PLAN, tmp_path / "tetX", partial(DaskCluster, address=cluster), on_event)
     assert contents(tmp_path / "tetX") == contents(whole)

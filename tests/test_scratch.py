@@ -1,5 +1,6 @@
 """Temporary folders: those of the living stay, those of the dead go."""
 
+import errno
 import signal
 import subprocess
 import sys
@@ -80,3 +81,14 @@ def test_a_folder_that_is_swept_while_it_is_made_is_made_again(temporary, monkey
     assert scratch.path.is_dir()
     assert str(scratch.path) != swept[0]
     scratch.close()
+
+
+def test_too_many_open_files_are_an_error_and_leave_no_folder(temporary, monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("symsol_annot.scratch._locked_descriptor", refuse)
+    with pytest.raises(OSError, match="Too many open files"):
+        Scratch()
+    monkeypatch.undo()
+    assert list(temporary.iterdir()) == []

@@ -123,14 +123,11 @@ class Trial:
     def _check_words(self, ended, words):
         for word in words:
             self.expect(word in ended.err, f"did not say {word!r}: {ended.err[-800:]}")
-        self._check_no_traceback(ended)
-
-    def _check_no_traceback(self, ended):
         self.wrong += tracebacks(ended.err)
 
     def _check_set(self, ended):
         self.expect(ended.code == 0, f"ended with {ended.code}, expected 0: {ended.err[-800:]}")
-        self._check_no_traceback(ended)
+        self.wrong += tracebacks(ended.err)
         self.wrong += differences(self.site.out, self._undisturbed)
 
 
