@@ -92,14 +92,15 @@ def test_a_killed_dask_worker_costs_its_shard_and_nothing_else(tmp_path, whole):
 
 
 def test_a_killed_blender_on_a_dask_worker_is_begun_again_and_told_of_with_the_worker(tmp_path, cluster, whole):
-    events = []
+    events, killed = [], []
     with Client(cluster, set_as_default=False) as client:
         workers = list(client.run(os.getpid).values())
 
     def on_event(event):
         events.append(event)
-        if isinstance(event, ShardFinished) and not any(isinstance(event, ShardBegunAgain) for event in events):
-            os.kill(next(blender for worker in workers for blender in blenders_of(worker)), signal.SIGKILL)
+        if isinstance(event, ShardFinished) and not killed:
+            killed.append(next(blender for worker in workers for blender in blenders_of(worker)))
+            os.kill(killed[0], signal.SIGKILL)
 
     generate(PLAN, tmp_path / "tetX", partial(DaskCluster, address=cluster), on_event)
     assert contents(tmp_path / "tetX") == contents(whole)
