@@ -72,7 +72,7 @@ class ShardProcess:
     @property
     def worker(self) -> str:
         """The process's name: its machine and number."""
-        return f"{socket.gethostname()}/{self._process.pid}"
+        return _name_of(self._process.pid)
 
     def make(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
         """Make one shard; `on_images` is told of each image, and again of the last one while candidates are counted."""
@@ -134,7 +134,7 @@ def _start(scene: tuple[SetPlan, bool, int]) -> tuple[Answer, str]:
     plan, exhaustive, memory_bytes = scene
     _watch_memory(memory_bytes)
     renderer = _CountingRenderer(open_blender(plan.spec.mesh, plan.camera, plan.settings))
-    worker = f"{socket.gethostname()}/{os.getpid()}"
+    worker = _name_of(os.getpid())
     maker = ShardMaker(plan, renderer, exhaustive=exhaustive, worker=worker)
 
     def answer(entry: ShardEntry, send: Send) -> tuple[MadeShard, int, int]:
@@ -150,6 +150,10 @@ def _start(scene: tuple[SetPlan, bool, int]) -> tuple[Answer, str]:
         return maker.make(entry, on_images), renderer.frames, _held_bytes()
 
     return answer, worker
+
+
+def _name_of(pid: int) -> str:
+    return f"{socket.gethostname()}/{pid}"
 
 
 def _watch_memory(memory_bytes: int) -> None:

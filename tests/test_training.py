@@ -418,8 +418,11 @@ def test_a_damaged_state_is_refused_and_nothing_lost(trained, images, tmp_path):
 
 def test_checkpoints_hold_no_pickles(trained):
     for folder in trained.values():
-        for file in folder.glob("*.safetensors"):
-            safetensors.torch.load(file.read_bytes())
+        tensors = {path for path in folder.iterdir() if path.suffix == ".safetensors"}
+        assert {path.suffix for path in folder.iterdir()} - {".safetensors"} <= {".toml", ".csv", ".png", ".json"}
+        assert {"weights.safetensors", "state.safetensors"} <= {path.name for path in tensors}
+        for file in tensors:
+            assert safetensors.torch.load(file.read_bytes())
 
 
 # --- the command ---
