@@ -67,7 +67,7 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         if not try_lock(descriptor):
             raise OutputError(
-                f"{folder}: another process{_lock_holder(descriptor)} is making this set right now; wait for it, or "
+                f"{folder}: another process{_lock_holder(descriptor)} is writing there right now; wait for it, or "
                 "choose another folder with --out"
             )
         yield

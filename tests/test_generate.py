@@ -665,7 +665,7 @@ def test_folder_that_another_process_works_in_is_left_alone(tmp_path):
     folder = tmp_path / "tetX"
     folder.mkdir()
     who = rf" \({os.getpid()}: .*python.*\)" if sys.platform == "linux" else ""
-    with locked(folder), pytest.raises(OutputError, match=f"another process{who} is making this set right now"):
+    with locked(folder), pytest.raises(OutputError, match=f"another process{who} is writing there right now"):
         make_set(tmp_path, test=4)
     assert not list(folder.iterdir())
     assert verify(make_set(tmp_path, test=4)) == []

@@ -11,7 +11,6 @@ state.safetensors is written first and holds all of the others, so that they agr
 import csv
 import io
 import json
-import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -25,6 +24,7 @@ import torch
 from torch import nn
 
 import symsol_annot
+from symsol_annot.bench.devices import hardware
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
 from symsol_annot.bench.recipe import HypothesisRecipe, Recipe, recipe_from_toml, recipe_to_toml
 from symsol_annot.bench.weights import Weights, load_weights, read_weights
@@ -104,9 +104,8 @@ class Checkpoint:
 
 def software(device: torch.device, precision: str) -> dict[str, str]:
     """Return the versions that weights depend on, and what they were made on."""
-    name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.machine()
     versions = {"symsol-annot": symsol_annot.__version__, "torch": torch.__version__, "roma": roma.__version__}
-    return versions | {"numpy": np.__version__, "device": f"{device.type} {name}", "precision": precision}
+    return versions | {"numpy": np.__version__, "device": f"{device.type} {hardware(device)}", "precision": precision}
 
 
 def new_model(recipe: Recipe, pretrained: str | None, seed: int) -> HypothesisNetwork | RotationClassifier:

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import platform
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -13,7 +14,7 @@ from symsol_annot.errors import SettingsError
 
 Model = TypeVar("Model", bound=nn.Module)
 
-_MEMINFO = Path("/proc/meminfo")
+_MEMINFO, _CPUINFO = Path("/proc/meminfo"), Path("/proc/cpuinfo")
 _CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -32,6 +33,18 @@ def choose_device(name: str) -> torch.device:
         reason = str(error).partition("\n")[0]
         raise SettingsError(f"device: there is no {name!r} here ({reason}); auto and cpu always work") from None
     return device
+
+
+def hardware(device: torch.device) -> str:
+    """Say in words what a device is: a GPU's name, or the processor's and how many threads compute on it."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    name = platform.machine()
+    with contextlib.suppress(OSError, StopIteration):
+        lines = _CPUINFO.read_text().splitlines()
+        name = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    threads = torch.get_num_threads()
+    return f"{name}, {threads} thread{'s' if threads > 1 else ''}"
 
 
 def has_bfloat16(device: torch.device) -> bool:

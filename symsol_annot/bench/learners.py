@@ -21,7 +21,7 @@ from symsol_annot.bench.losses import (
     von_mises_loss,
     winner_takes_all,
 )
-from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier, gram_schmidt
+from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
 from symsol_annot.bench.recipe import ClassifierRecipe, HypothesisRecipe, Recipe
 from symsol_annot.bench.schedules import Moment
 from symsol_annot.dataset import Labels
@@ -58,8 +58,7 @@ class HypothesisLearner:
         """Return the meta losses (B,)."""
         with backbone_precision(images.device):
             embeddings = self.model.first_stage(images)
-        vectors = self.model.output(embeddings.float())  # in 32 bits: rotations to 0.1 degrees would show
-        hypotheses = gram_schmidt(vectors.reshape(len(images), self.recipe.hypotheses, 2, 3))
+        hypotheses = self.model.from_embeddings(embeddings.float())  # in 32 bits: 0.1 degrees of 16 would show
         embedded = self._embedded_losses(hypotheses, R_gt[:, None], moment)
         match self.recipe.meta_loss:
             case "wta":

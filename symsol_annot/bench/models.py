@@ -45,8 +45,12 @@ class HypothesisNetwork(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         """Return the hypotheses (B, M, 3, 3) of images (B, H, W, 3), uint8: R_m2c, on SO(3) to the last bits."""
-        vectors = self.output(self.first_stage(images))
-        return gram_schmidt(_single_or_double(vectors).reshape(len(images), self.hypotheses, 2, 3))
+        return self.from_embeddings(self.first_stage(images))
+
+    def from_embeddings(self, embeddings: Tensor) -> Tensor:
+        """Return the hypotheses (B, M, 3, 3) of embedded images (B, E)."""
+        vectors = _single_or_double(self.output(embeddings))
+        return gram_schmidt(vectors.reshape(len(embeddings), self.hypotheses, 2, 3))
 
 
 class RotationClassifier(nn.Module):

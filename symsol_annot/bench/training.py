@@ -128,7 +128,7 @@ class _Run:
         """Learn from every image once, evaluate, and keep what came of it."""
         epoch, steps = self.about.epochs_done, self._data.batches_an_epoch()
         rng = generator(self._device, self.about.seed, epoch, "negatives")
-        start, images_done = time.perf_counter(), 0
+        start, processor_start, images_done = time.perf_counter(), time.process_time(), 0
         total = torch.zeros((), device=self._device)
         self._model.train()
         for step, (images, R_gt) in enumerate(self._data.batches(epoch)):
@@ -146,6 +146,8 @@ class _Run:
         self._refuse_nan(sum(float(t.float().abs().sum()) for t in self._model.state_dict().values()), epoch)
         if self._held_out:
             row |= self._learner.evaluate(*self._held_out)
+        row["seconds"] = round(time.perf_counter() - start, 2)
+        row["processor_seconds"] = round(time.process_time() - processor_start, 2)
         self.about = replace(self.about, rows=(*self.about.rows, row))
         checkpoints.save(self._out, self.about, self._model, self._optimizer)
         self._publish()

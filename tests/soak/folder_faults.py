@@ -234,7 +234,7 @@ def two_commands(trial):
     first = trial.started()
     workers = trial.site.blenders()
     kill(workers, signal.SIGSTOP)  # the first one waits for the second
-    trial.refuses(trial.start(), "is making this set right now; wait for it, or choose another folder with --out")
+    trial.refuses(trial.start(), "is writing there right now; wait for it, or choose another folder with --out")
     kill(workers, signal.SIGCONT)
     trial.survives(first)
 
