@@ -3,10 +3,10 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 
 # The editable install links the files it finds, so it is made again when a file is added or removed.
-SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/*))
+SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
 INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
-.PHONY: demo test check lint format soak perf fuzz assets clean
+.PHONY: demo test check lint docs format soak perf fuzz assets sample release clean
 
 demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of two objects, in data/
 	$(BIN)/symsol-annot render --object cylO --train 0 --test 64
@@ -14,8 +14,8 @@ demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of t
 	$(BIN)/symsol-annot verify data --audit 2
 	$(BIN)/symsol-annot reference data/cylO data/tetX --row evenly-placed --out data/reference
 	@echo "Pictures to look at:"
-	@$(BIN)/symsol-annot plot data/cylO
-	@$(BIN)/symsol-annot plot data/tetX
+	@$(BIN)/symsol-annot plot images data/cylO
+	@$(BIN)/symsol-annot plot images data/tetX
 
 test: lint  ## every check, with all its set-up: what CI runs
 	$(BIN)/pytest
@@ -28,6 +28,9 @@ lint: $(INSTALLED)  ## the quick checks
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m symsol_annot_assets.build --check --out blender_assets
+
+docs: $(INSTALLED)  ## the site, in build/site; a broken link is an error
+	$(BIN)/mkdocs build --strict
 
 soak: $(INSTALLED)  ## long proofs on real renders and real processes, in build/soak.json; as root, about 20 minutes
 	$(BIN)/python tests/soak
@@ -42,6 +45,17 @@ format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+SAMPLE := symsol_annot/sample_data
+sample: $(INSTALLED)  ## render the set inside the package again; seed 45 has a tetX whose marking barely shows
+	rm -rf build/sample
+	$(BIN)/symsol-annot render --object cylO --train 128 --test 64 --seed 45 --out build/sample
+	$(BIN)/symsol-annot render --object tetX --train 256 --test 64 --seed 45 --out build/sample
+	rm -rf $(SAMPLE)
+	mv build/sample $(SAMPLE)
+
+release: $(INSTALLED)  ## build wheel and sdist in dist/, and try them in empty environments: each Python, each extra
+	$(BIN)/python tests/release.py
+
 assets: $(INSTALLED)  ## build the objects again
 	$(BIN)/python -m symsol_annot_assets.build --out blender_assets
 
@@ -51,7 +65,7 @@ clean:
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-		--editable '.[render,plot,bench,cluster,dev]' --config-settings editable_mode=strict
-	$(BIN)/symsol-annot doctor --install
+		--editable '.[render,plot,publish,gallery,bench,cluster,docs,dev]' --config-settings editable_mode=strict
+	$(BIN)/symsol-annot doctor --install --browser
 	rm -f $(VENV)/installed-*
 	touch $@

@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import click
+from symsol_annot_cli.parameters import example
 
 from symsol_annot.bench import comparison
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot compare ours.json reference/truth.json"))
 @click.argument("paths", metavar="SCORES.JSON...", nargs=-1, required=True, type=click.Path(path_type=Path))
 def compare(paths: tuple[Path, ...]) -> None:
     """Put the scores of several methods side by side, with paired bootstrap differences from the first."""

@@ -1,11 +1,12 @@
 """`symsol-annot objects`: list the built-in objects."""
 
 import click
+from symsol_annot_cli.parameters import example
 
 from symsol_annot.objects import builtin_names, load_object
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot objects"))
 def objects() -> None:
     """List the built-in objects."""
     click.echo(f"{'name':<7}{'|C|':>5}{'|H|':>5}{'T (px)':>8}  what")

@@ -5,10 +5,11 @@ import sys
 from pathlib import Path
 
 import click
+from click.shell_completion import CompletionItem
 from tqdm import tqdm
 
 from symsol_annot.errors import UnknownObjectError
-from symsol_annot.objects import ObjectSpec, load_object
+from symsol_annot.objects import ObjectSpec, builtin_names, load_object
 
 
 class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the checker alone
@@ -22,6 +23,21 @@ class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the 
             return load_object(value)
         except UnknownObjectError as error:
             self.fail(str(error), param, ctx)
+
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002 - as click calls it
+        param: click.Parameter,  # noqa: ARG002
+        incomplete: str,
+    ) -> list[CompletionItem]:
+        """Offer the built-in objects, and folders where none of them fits."""
+        names = [name for name in builtin_names() if name.startswith(incomplete)]
+        return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="dir")]
+
+
+def example(*lines: str) -> str:
+    """Return the end of a command's help: lines to copy into a shell."""
+    return "\n".join(["\b", "Example:", *(f"  {line}" for line in lines)])
 
 
 SET_FOLDER = click.argument("folder", metavar="DATA", type=click.Path(path_type=Path))

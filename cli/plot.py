@@ -1,22 +1,48 @@
-"""`symsol-annot plot`: draw images with their segmentations and symmetry sets."""
+"""`symsol-annot plot`: pictures of sets, predictions, scores and losses."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import SET_FOLDER, SPLIT
+from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, example
 
 from symsol_annot import dataset
+from symsol_annot.bench import score_plots
+from symsol_annot.bench.predicted import predicted_rotations
+from symsol_annot.bench.predictions import open_predictions
+from symsol_annot.bench.report import STRATA
+from symsol_annot.bench.truth import find_set
+from symsol_annot.dataset import Dataset, Sample
+from symsol_annot.errors import SymsolError
 from symsol_annot.plots import contact_sheet
+from symsol_annot.rotation_plots import KINDS, plot_sets
+from symsol_annot.so3 import Rotations
+
+_OUT = click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="The picture: .png, .pdf or .svg."
+)
+_IMAGES = click.option(
+    "--image", "images", type=click.IntRange(min=0), multiple=True, default=(0,), help="Which; may be repeated.  [0]"
+)
+_SCORES = click.argument("paths", metavar="SCORES.JSON...", nargs=-1, required=True, type=click.Path(path_type=Path))
+_OBJECT = click.option("--object", "name", metavar="NAME", required=True, help="Of those in the scores.")
+_STRATUM = click.option("--stratum", type=click.Choice(STRATA), default="all", show_default=True)
+_TRACK = click.option("--track", type=click.Choice(["hypotheses", "classifier", "density"]), help="If it has several.")
 
 
-@click.command()
+@click.group()
+def plot() -> None:
+    """Draw sets, predictions, scores and losses, for papers and for looking."""
+
+
+@plot.command(epilog=example("symsol-annot plot images data/cylO --count 8"))
 @SET_FOLDER
 @SPLIT
 @click.option("--start", type=click.IntRange(min=0), default=0, show_default=True, help="Index of the first image.")
 @click.option("--count", type=click.IntRange(min=1, max=200), default=16, show_default=True, help="How many images.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The PNG.  [default: DATA-SPLIT.png]")
-def plot(folder: Path, split: str, start: int, count: int, out: Path | None) -> None:
-    """Draw images with their segmentation and their symmetry set in the pi-ball, to a PNG."""
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="[default: DATA-SPLIT.png]")
+def images(folder: Path, split: str, start: int, count: int, out: Path | None) -> None:
+    """Draw images with their segmentations and symmetry sets, on one sheet."""
     samples = dataset.load(folder, split)
     if start >= len(samples):
         raise click.UsageError(f"--start {start}: the split has {len(samples)} images, from 0")
@@ -24,3 +50,117 @@ def plot(folder: Path, split: str, start: int, count: int, out: Path | None) -> 
     has_marking = samples.manifest.recipe["tolerance_px"] is not None
     contact_sheet(samples[start : start + count], path, has_marking=has_marking)
     click.echo(path)
+
+
+@plot.command(epilog=example("symsol-annot plot sets data/tetX --image 3 --predictions preds.h5 --out sets.pdf"))
+@SET_FOLDER
+@SPLIT
+@_IMAGES
+@click.option(
+    "--kind",
+    type=click.Choice(KINDS),
+    default=KINDS[0],
+    show_default=True,
+    help="In the ball of rotation vectors, or on the sphere of directions with the tilt as colour.",
+)
+@click.option("--predictions", type=click.Path(path_type=Path), help="Drawn over the truth: a predictions file.")
+@_TRACK
+@_OUT
+def sets(
+    folder: Path,
+    split: str,
+    images: tuple[int, ...],
+    kind: str,
+    predictions: Path | None,
+    track: str | None,
+    out: Path,
+) -> None:
+    """Draw images and their symmetry sets, with predictions over them."""
+    samples = dataset.load(folder, split)
+    chosen = [_sample(samples, image) for image in images]
+    title, predicted = f"{samples.object}, {split}", None
+    if predictions:
+        method, every = _predicted(predictions, samples, track)
+        title, predicted = f"{title}: {method}", [every[image] for image in images]
+    plot_sets(chosen, out, kind, predicted, title)
+    click.echo(out)
+
+
+@plot.command("slice", epilog=example("symsol-annot plot slice runs/tetX-classifier --image 3 --out slice.pdf"))
+@click.argument("checkpoints", metavar="CHECKPOINT...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@DATA
+@SPLIT
+@click.option("--image", type=click.IntRange(min=0), default=0, show_default=True, help="Which.")
+@click.option("--axis", type=click.Choice(["x", "y", "z"]), default="x", show_default=True, help="The model's.")
+@click.option(
+    "--reach", type=click.FloatRange(0, 180, min_open=True), default=180.0, show_default=True, help="Degrees."
+)
+@_OUT
+def slice_(
+    checkpoints: tuple[Path, ...], data: Path, split: str, image: int, axis: str, reach: float, out: Path
+) -> None:
+    """Draw what classifiers say of the rotations that turn an image's own about one axis."""
+    try:
+        from symsol_annot.bench import slice_plots  # noqa: PLC0415 - slow to import
+        from symsol_annot.bench.checkpoints import open_checkpoint  # noqa: PLC0415
+    except ImportError:
+        raise SymsolError("this needs torch: `pip install 'symsol-annot[bench]'`") from None
+    opened = [open_checkpoint(path) for path in checkpoints]
+    samples = dataset.load(find_set(data, opened[0].about.object), split)
+    classifiers = slice_plots.classifiers_for(samples, opened)
+    slice_plots.plot_slice(classifiers, _sample(samples, image), out, axis, reach)
+    click.echo(out)
+
+
+@plot.command(epilog=example("symsol-annot plot precision-recall a.json b.json --object tetX --out curve.pdf"))
+@_SCORES
+@_OBJECT
+@_STRATUM
+@_OUT
+def precision_recall(paths: tuple[Path, ...], name: str, stratum: str, out: Path) -> None:
+    """Draw the precision of classifiers over their recall, at all thresholds."""
+    score_plots.plot_precision_recall(paths, out, name, stratum)
+    click.echo(out)
+
+
+@plot.command(epilog=example("symsol-annot plot coverage a.json b.json --object tetX --out coverage.pdf"))
+@_SCORES
+@_OBJECT
+@_STRATUM
+@_OUT
+def coverage(paths: tuple[Path, ...], name: str, stratum: str, out: Path) -> None:
+    """Draw the coverage and accuracy of hypotheses over the angle."""
+    score_plots.plot_coverage(paths, out, name, stratum)
+    click.echo(out)
+
+
+@plot.command(epilog=example("symsol-annot plot losses --out losses.png"))
+@click.option("--toy", is_flag=True, help="Hypotheses in a plane that converge, instead of curves.")
+@_OUT
+def losses(*, toy: bool, out: Path) -> None:
+    """Draw the losses of the thesis: figures 4.5, A.1 and A.2 as curves, or figures 4.2 to 4.4 as a toy."""
+    try:
+        from symsol_annot.bench import loss_plots  # noqa: PLC0415 - slow to import
+    except ImportError:
+        raise SymsolError("this needs torch: `pip install 'symsol-annot[bench]'`") from None
+    (loss_plots.plot_toys if toy else loss_plots.plot_curves)(out)
+    click.echo(out)
+
+
+def _sample(samples: Dataset, image: int) -> Sample:
+    if image >= len(samples):
+        raise click.UsageError(f"--image {image}: the split has {len(samples)} images, from 0")
+    return samples[image]
+
+
+def _predicted(path: Path, samples: Dataset, track: str | None) -> tuple[str, Sequence[Rotations]]:
+    """Return the method's name and what it says of each image."""
+    with open_predictions(path, samples.folder) as predictions:
+        if predictions.truth.fingerprint != samples.fingerprint:
+            about = f"{predictions.truth.object} {predictions.truth.split}"
+            raise click.UsageError(f"--predictions {path}: is about {about}; --split names another")
+        tracks = {one.name: one for one in predictions.tracks}
+        if track and track not in tracks:
+            raise click.UsageError(f"--track {track}: {path} has {', '.join(tracks)}")
+        chosen = tracks[track] if track else predictions.tracks[0]
+        return predictions.method, [one.rotations for one in predicted_rotations(predictions, chosen)]

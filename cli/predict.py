@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import DATA, SPLIT
+from symsol_annot_cli.parameters import DATA, SPLIT, example
 
 from symsol_annot import dataset
 from symsol_annot.bench.truth import find_set
@@ -11,7 +11,7 @@ from symsol_annot.errors import SymsolError
 from symsol_annot.grid import STANDARD_LEVEL
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot predict runs/tetX-small-ewta --data data --out preds.h5"))
 @click.argument("checkpoint", type=click.Path(path_type=Path))
 @DATA
 @SPLIT

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import SET_FOLDER, SPLIT, progress_bar
+from symsol_annot_cli.parameters import SET_FOLDER, SPLIT, example, progress_bar
 
 from symsol_annot import dataset
 from symsol_annot.bench.query_file import write_queries
@@ -11,7 +11,7 @@ from symsol_annot.files import make_folder
 from symsol_annot.grid import STANDARD_LEVEL
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot queries data/cylO --out queries.h5"))
 @SET_FOLDER
 @SPLIT
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("queries.h5"), show_default=True)

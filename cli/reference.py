@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import SPLIT, progress_bar
+from symsol_annot_cli.parameters import SPLIT, example, progress_bar
 
 from symsol_annot import dataset
 from symsol_annot.bench import report
@@ -12,7 +12,7 @@ from symsol_annot.bench.reference import ROWS, score_row
 from symsol_annot.files import make_folder, write_atomically
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot reference data/cylO data/tetX --row evenly-placed"))
 @click.argument("folders", metavar="DATA...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @SPLIT
 @click.option("--row", "rows", type=click.Choice(list(ROWS)), multiple=True, help="One row; may be repeated.  [all]")

@@ -5,7 +5,7 @@ from pathlib import Path
 from shlex import quote
 
 import click
-from symsol_annot_cli.parameters import ObjectType, cores
+from symsol_annot_cli.parameters import ObjectType, cores, example
 from symsol_annot_cli.reporting import LOG_FORMATS, Tally, failures_in_words, reporter
 
 from symsol_annot.blender_process import check_blender_installed
@@ -22,7 +22,13 @@ from symsol_annot.shard_process import DEFAULT_LIMITS, Limits
 _MIB = 2**20
 
 
-@click.command()
+@click.command(
+    epilog=example(
+        "symsol-annot render --object cylO",
+        "symsol-annot render --object tetX --train 0 --test 100 --out small",
+        "symsol-annot render --object path/to/mug --cluster tcp://10.0.0.1:8786",
+    )
+)
 @click.option("--object", "spec", type=ObjectType(), required=True, help="A built-in object, or a folder of your own.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Holds the sets.")
 @click.option("--train", type=click.IntRange(min=0), default=45000, show_default=True, help="Images to train on.")
@@ -147,6 +153,5 @@ def _summarise(folder: Path, manifest: Manifest, tally: Tally) -> None:
         click.echo(line)
     split = "test" if manifest.images("test") else "train"
     path, code = quote(str(folder)), f"import symsol_annot; print(symsol_annot.load({str(folder)!r}, {split!r})[0])"
-    click.echo(
-        f"Next:\n  symsol-annot verify {path}\n  symsol-annot plot {path} --split {split}\n  python -c {quote(code)}"
-    )
+    click.echo(f"Next:\n  symsol-annot verify {path}\n  symsol-annot plot images {path} --split {split}")
+    click.echo(f"  python -c {quote(code)}")

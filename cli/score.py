@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import DATA, PREDICTIONS, progress_bar
+from symsol_annot_cli.parameters import DATA, PREDICTIONS, example, progress_bar
 
 from symsol_annot.bench import report
 from symsol_annot.bench.predictions import open_predictions
@@ -11,7 +11,7 @@ from symsol_annot.bench.scoring import score as score_predictions
 from symsol_annot.files import write_atomically
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot score preds.h5 --json scores.json"))
 @PREDICTIONS
 @DATA
 @click.option("--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Write all figures here.")

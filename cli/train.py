@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import click
-from symsol_annot_cli.parameters import DATA, progress_bar
+from symsol_annot_cli.parameters import DATA, example, progress_bar
 from tqdm import tqdm
 
 from symsol_annot import dataset
@@ -27,7 +27,7 @@ def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  
         context.exit()
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot train small-ewta --data data/tetX"))
 @click.argument("recipe")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="List the recipes.")
 @DATA

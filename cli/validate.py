@@ -4,13 +4,13 @@ import sys
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import DATA, PREDICTIONS
+from symsol_annot_cli.parameters import DATA, PREDICTIONS, example
 
 from symsol_annot.bench.predictions import open_predictions
 from symsol_annot.errors import SymsolError
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot validate preds.h5 --data data"))
 @PREDICTIONS
 @DATA
 def validate(paths: tuple[Path, ...], data: Path) -> None:

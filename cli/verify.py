@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 import numpy as np
-from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, cores, progress_bar
+from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, cores, example, progress_bar
 from symsol_annot_cli.reporting import failures_in_words, reporter
 
 from symsol_annot import dataset
@@ -23,7 +23,7 @@ from symsol_annot.scene import Camera, RenderSettings
 from symsol_annot.verify import verify as find_faults
 
 
-@click.command()
+@click.command(epilog=example("symsol-annot verify data", "symsol-annot verify data/cylO --audit 20"))
 @SET_FOLDER
 @click.option("--audit", "audited", metavar="K", type=click.IntRange(min=1), help="Draw K images of each set again.")
 @click.option("--repair", is_flag=True, help="First make damaged, missing and unfinished shards again.")
@@ -109,6 +109,10 @@ def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.rando
 
 def _object_of(folder: Path, manifest: Manifest, given: ObjectSpec | None) -> ObjectSpec:
     name = manifest.recipe["object"]
+    if manifest.is_imported:
+        raise DataError(
+            f"{folder}: was imported, so it cannot be drawn again; `symsol-annot import-symsol` makes it anew"
+        )
     try:
         spec = given if given and given.name == name else load_object(name)
     except UnknownObjectError:

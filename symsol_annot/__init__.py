@@ -10,5 +10,6 @@ __version__ = "0.1.0"
 from symsol_annot.dataset import Dataset, Sample, load
 from symsol_annot.errors import SymsolError
 from symsol_annot.order import shuffled_order
+from symsol_annot.sample import load_sample
 
-__all__ = ["Dataset", "Sample", "SymsolError", "__version__", "load", "shuffled_order"]
+__all__ = ["Dataset", "Sample", "SymsolError", "__version__", "load", "load_sample", "shuffled_order"]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from symsol_annot.annotate import is_shown, marking_pixels
 from symsol_annot.dataset import Dataset, Sample
-from symsol_annot.errors import NotAnnotatedError
+from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import MARKING, Renderer, View
 from symsol_annot.so3 import Rotations, angle_between
@@ -58,6 +58,7 @@ def audit(
 
     Raises:
         NotAnnotatedError: the split has no symmetry sets.
+        DataError: the set was imported.
     """
     if not dataset.is_annotated:
         raise NotAnnotatedError(f"{dataset.folder}: the split {dataset.split!r} has no symmetry sets to audit")
@@ -72,6 +73,8 @@ def audit(
 def _audit_image(
     sample: Sample, spec: ObjectSpec, renderer: Renderer, rng: np.random.Generator, report: AuditReport
 ) -> None:
+    if sample.segmentation is None or sample.marking_visible is None:
+        raise DataError("an imported set cannot be audited: how its images were drawn is not known")
     view = View(sample.image, sample.segmentation, sample.marking_pixels)
     stored = _Drawing(view, sample.marking_pixels, sample.marking_visible)
     found = _faults_of_member(stored, _draw(sample.rotation, spec, renderer))

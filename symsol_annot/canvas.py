@@ -4,8 +4,13 @@ import io
 from pathlib import Path
 from typing import Any
 
-from symsol_annot.errors import SymsolError
+from symsol_annot.errors import SettingsError, SymsolError
 from symsol_annot.files import write_atomically
+
+# Okabe and Ito's colours, which colour-blind people tell apart
+TRUTH, PREDICTED = "#0072b2", "#d55e00"
+SERIES = (TRUTH, PREDICTED, "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+_DATELESS: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 
 def new_figure(**options: Any) -> Any:
@@ -24,12 +29,19 @@ def new_figure(**options: Any) -> Any:
     return figure
 
 
-def write_png(figure: Any, path: Path) -> None:
-    """Write a figure as a PNG.
+def write_figure(figure: Any, path: Path) -> None:
+    """Write a figure as its path's suffix says: .png, .pdf or .svg; the same figure gives the same bytes.
 
     Raises:
+        SettingsError: another suffix.
         OutputError: the file cannot be written.
     """
-    png = io.BytesIO()
-    figure.savefig(png, format="png", dpi=100)
-    write_atomically(path, png.getvalue())
+    form = path.suffix.lower().removeprefix(".")
+    if form not in _DATELESS:
+        raise SettingsError(f"{path}: expected a name that ends in .png, .pdf or .svg")
+    from matplotlib import rc_context
+
+    drawn = io.BytesIO()
+    with rc_context({"svg.hashsalt": "symsol-annot", "pdf.fonttype": 42}):  # ids that are not drawn by lot; real fonts
+        figure.savefig(drawn, format=form, dpi=100, metadata=_DATELESS[form])
+    write_atomically(path, drawn.getvalue())

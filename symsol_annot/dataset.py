@@ -34,20 +34,21 @@ class Sample:
     Attributes:
         index: within the split.
         image: (H, W, 3) u8 RGB.
-        segmentation: (H, W) u8: 0 background, 1 body, 2 marking.
+        segmentation: (H, W) u8: 0 background, 1 body, 2 marking. None in an imported set, which has none.
         rotation: (3, 3) f8, R_m2c, the rotation that the image was drawn at.
-        marking_pixels: the marking's visible area in pixels; 0 without a marking.
-        marking_visible: whether that is at least the object's tolerance; False without a marking.
+        marking_pixels: the marking's visible area in pixels; 0 without a marking, NaN where an imported set has none.
+        marking_visible: whether that is at least the object's tolerance; False without a marking, None in an imported
+            set.
         symmetry_mask: (G,) bool over `symmetry_group`, or None where the split has no symmetry sets.
         symmetry_group: (G, 3, 3) f8, the body's symmetries.
     """
 
     index: int
     image: npt.NDArray[np.uint8]
-    segmentation: npt.NDArray[np.uint8]
+    segmentation: npt.NDArray[np.uint8] | None
     rotation: Rotations
     marking_pixels: float
-    marking_visible: bool
+    marking_visible: bool | None
     symmetry_mask: npt.NDArray[np.bool_] | None
     symmetry_group: Rotations
 
@@ -56,13 +57,11 @@ class Sample:
         """All (k, 3, 3) rotations R_m2c that draw this image, `rotation` among them.
 
         Raises:
-            NotAnnotatedError: the split was rendered without symmetry sets.
+            NotAnnotatedError: the split has no symmetry sets.
         """
         if self.symmetry_mask is None:
-            raise NotAnnotatedError(
-                f"image {self.index} has no symmetry set: its split was rendered without; "
-                "`symsol-annot render --annotate all` gives every split its sets"
-            )
+            is_imported = self.segmentation is None
+            raise NotAnnotatedError(f"image {self.index} has no symmetry set: its split {_without_sets(is_imported)}")
         return self.rotation @ self.symmetry_group[self.symmetry_mask]
 
 
@@ -74,8 +73,9 @@ class Labels:
         rotation: (N, 3, 3) f8, R_m2c.
         symmetry_mask: (N, G) bool over `symmetry_group`.
         symmetry_group: (G, 3, 3) f8, the body's symmetries, identity first.
-        marking_pixels: (N,) f4, the marking's visible area in pixels; 0 without a marking.
-        marking_visible: (N,) bool, whether that is at least the object's tolerance.
+        marking_pixels: (N,) f4, the marking's visible area in pixels; 0 without a marking, NaN in an imported set.
+        marking_visible: (N,) bool, whether that is at least the object's tolerance; False in an imported set, which has
+            sets for bodies without marking alone.
     """
 
     rotation: Rotations
@@ -120,7 +120,7 @@ class Dataset(Sequence[Sample]):
 
     @property
     def has_marking(self) -> bool:
-        """Whether the object has a marking."""
+        """Whether the object has a marking that images of this set are divided by; no imported set is."""
         return self.manifest.recipe["tolerance_px"] is not None
 
     @property
@@ -137,14 +137,12 @@ class Dataset(Sequence[Sample]):
         """Read the labels of all images at once, without the images.
 
         Raises:
-            NotAnnotatedError: the split was rendered without symmetry sets.
+            NotAnnotatedError: the split has no symmetry sets.
             DataError: a shard is missing or damaged.
         """
         if not self.is_annotated:
-            raise NotAnnotatedError(
-                f"{self.folder}: the {self.split} split was rendered without symmetry sets; "
-                "`symsol-annot render --annotate all` gives every split its sets"
-            )
+            without_sets = _without_sets(self.manifest.is_imported)
+            raise NotAnnotatedError(f"{self.folder}: the {self.split} split {without_sets}")
         rows = list(self._rows)
         columns = [self._labels_of(number) for number in range(len(self._entries))]
         rotation, mask, pixels, visible = (np.concatenate(column)[rows] for column in zip(*columns, strict=True))
@@ -229,9 +227,13 @@ class _Shard:
             _check_header(file, path, images, expected)
             self._identity = identity_of(file)
             self._first_index = int(file.attrs["first_index"])
-            self._tolerance_px = float(file.attrs["tolerance_px"])
-            self._image, self._segmentation = (self._read(file, name, Rows) for name in ("image", "segmentation"))
-            self._rotation, self._pixels = (self._read(file, name) for name in ("rotation", "marking_pixels"))
+            self._tolerance_px = float(file.attrs.get("tolerance_px", np.nan))
+            self._image, self._rotation = self._read(file, "image", Rows), self._read(file, "rotation")
+            self._segmentation, self._pixels = None, np.full(images, np.nan, dtype=np.float32)
+            self._is_imported = "source" in file.attrs
+            if not self._is_imported:
+                self._segmentation = self._read(file, "segmentation", Rows)
+                self._pixels = self._read(file, "marking_pixels")
             self._mask = self._read(file, "symmetry_mask") if "symmetry_mask" in file else None
             self.symmetry_group: Rotations = self._read(file, "symmetry_group")
         self.symmetry_group.setflags(write=False)  # all samples share it
@@ -252,10 +254,10 @@ class _Shard:
         return Sample(
             index=index,
             image=self._image.read(row, file),
-            segmentation=self._segmentation.read(row, file),
+            segmentation=self._segmentation and self._segmentation.read(row, file),
             rotation=self._rotation[row].copy(),
             marking_pixels=pixels,
-            marking_visible=pixels >= self._tolerance_px,  # False where the tolerance is NaN: no marking
+            marking_visible=None if self._is_imported else pixels >= self._tolerance_px,  # False where that is NaN
             symmetry_mask=None if self._mask is None else self._mask[row].copy(),
             symmetry_group=self.symmetry_group,
         )
@@ -271,6 +273,13 @@ class _Shard:
             return how(file[name])
         except HDF5_ERRORS as error:
             raise DataError(f"{self._path}: {name} cannot be read: {error}") from None
+
+
+def _without_sets(is_imported: bool) -> str:  # noqa: FBT001
+    """Say why a split has no symmetry sets."""
+    if is_imported:
+        return "was imported from a source that gives no symmetry sets for it: none are known"
+    return "was rendered without symmetry sets; `symsol-annot render --annotate all` gives every split its sets"
 
 
 def _check_header(file: Any, path: Path, images: int, expected: dict[str, Any]) -> None:
@@ -303,6 +312,6 @@ def load(folder: str | os.PathLike[str], split: str = "test") -> Dataset:
     if missing:
         raise DataError(
             f"{path}: {len(missing)} of {len(entries)} {split} shards are missing, the first {missing[0]}; "
-            "the same `symsol-annot render` command as before makes them"
+            f"the same `symsol-annot {'import-symsol' if manifest.is_imported else 'render'}` command makes them"
         )
     return Dataset(path, split, manifest)

@@ -9,6 +9,7 @@ import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 from symsol_annot.errors import DataError, SettingsError
@@ -28,6 +29,7 @@ _RECIPE_TYPES: dict[str, Any] = {
     "tolerance_px": float | None,
     "annotate": str,
 }
+_UNKNOWN_WHERE_IMPORTED = ("object_sha256", "seed", "render", "tolerance_px")  # null
 _ENTRY_TYPES: dict[str, Any] = {
     "first_index": int,
     "images": int,
@@ -70,7 +72,8 @@ class Manifest:
     """A set: what it was made from, and its shards.
 
     Attributes:
-        recipe: what decides the contents: object, object_sha256, seed, camera, render, tolerance_px, annotate.
+        recipe: what decides the contents: object, object_sha256, seed, camera, render, tolerance_px, annotate; of an
+            imported set also source, and None for what is not known.
         shards: all planned shards, train before test, in order.
     """
 
@@ -105,6 +108,11 @@ class Manifest:
         """Return how many images a split has."""
         return sum(shard.images for shard in self.of_split(split))
 
+    @property
+    def is_imported(self) -> bool:
+        """Whether the images are from somewhere else, so that hardly anything is known of how they were made."""
+        return "source" in self.recipe
+
     def is_annotated(self, split: str) -> bool:
         """Tell whether a split carries symmetry sets."""
         return self.recipe["annotate"] in ("all", split)
@@ -112,13 +120,18 @@ class Manifest:
     def expected_attributes(self, entry: ShardEntry) -> dict[str, Any]:
         """Return the attributes that a shard of this set carries, but for the software's versions."""
         recipe = self.recipe
-        return {
+        known = {
             "object": recipe["object"],
-            "object_sha256": recipe["object_sha256"],
-            "seed": recipe["seed"],
             "split": entry.split,
             "first_index": entry.first_index,
             "camera": json.dumps(recipe["camera"], sort_keys=True),
+        }
+        if self.is_imported:
+            return {**known, "source": json.dumps(recipe["source"], sort_keys=True)}
+        return {
+            **known,
+            "object_sha256": recipe["object_sha256"],
+            "seed": recipe["seed"],
             "render": json.dumps(recipe["render"], sort_keys=True),
             "engine": recipe["render"]["engine"],
             "tolerance_px": math.nan if recipe["tolerance_px"] is None else recipe["tolerance_px"],
@@ -245,10 +258,15 @@ def _check_types(manifest: Manifest) -> None:
     """Raise a ValueError or TypeError where a field is missing or not of its type, or shards do not follow on."""
     recipe = manifest.recipe
     Camera(**recipe["camera"])
-    RenderSettings.from_dict(recipe["render"])
-    fields = [(recipe[name], types) for name, types in _RECIPE_TYPES.items()]
+    expected = dict(_RECIPE_TYPES)
+    if manifest.is_imported:
+        expected |= {"source": dict, **dict.fromkeys(_UNKNOWN_WHERE_IMPORTED, NoneType)}
+    else:
+        RenderSettings.from_dict(recipe["render"])
+    fields = [(recipe[name], types) for name, types in expected.items()]
     fields += [(recipe["camera"][name], int) for name in ("width", "height")]
-    fields += [(recipe["camera"][name], float) for name in ("distance", "focal_px")]
+    unknown_or_real = NoneType if manifest.is_imported else float
+    fields += [(recipe["camera"][name], unknown_or_real) for name in ("distance", "focal_px")]
     for split in SPLITS:
         following, shards = 0, manifest.of_split(split)
         for number, shard in enumerate(shards):
@@ -257,7 +275,7 @@ def _check_types(manifest: Manifest) -> None:
                 raise ValueError(f"{shard.file!r} does not follow on the shard before it")
             following += shard.images
             fields += [(getattr(shard, name), types) for name, types in _ENTRY_TYPES.items()]
-    if set(recipe) != set(_RECIPE_TYPES):
+    if set(recipe) != set(expected):
         raise ValueError("unknown fields")
     for value, types in fields:
         if not isinstance(value, types) or isinstance(value, bool):

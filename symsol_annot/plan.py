@@ -70,18 +70,23 @@ class SetPlan:
             "tolerance_px": self.spec.marking.tolerance_px if self.spec.marking else None,
             "annotate": self.annotate,
         }
-        return Manifest(recipe, tuple(entry for split in SPLITS for entry in self._shards(split)))
+        return Manifest(recipe, division_into_shards(self.images, self.camera.width * self.camera.height))
 
-    def _shards(self, split: str) -> Iterator[ShardEntry]:
-        images = self.images.get(split, 0)
-        fitting = max(1, _MAX_PIXELS_PER_SHARD // (self.camera.width * self.camera.height))
-        per_shard = max(_MIN_IMAGES_PER_SHARD, -(-images // _SMALL_SET_SHARDS))
-        per_shard = min(per_shard, MAX_IMAGES_PER_SHARD, fitting)
-        shards = -(-images // per_shard)
-        for number in range(shards):
-            first = number * per_shard
-            name = f"{split}-{number:05d}-of-{shards:05d}.h5"
-            yield ShardEntry(name, split, first, min(per_shard, images - first))
+
+def division_into_shards(images: dict[str, int], pixels_per_image: int) -> tuple[ShardEntry, ...]:
+    """Return the shards, none of them finished, of a set with so many images in each split."""
+    fitting = max(1, _MAX_PIXELS_PER_SHARD // pixels_per_image)
+    return tuple(entry for split in SPLITS for entry in _shards(split, images.get(split, 0), fitting))
+
+
+def _shards(split: str, images: int, fitting: int) -> Iterator[ShardEntry]:
+    per_shard = max(_MIN_IMAGES_PER_SHARD, -(-images // _SMALL_SET_SHARDS))
+    per_shard = min(per_shard, MAX_IMAGES_PER_SHARD, fitting)
+    shards = -(-images // per_shard)
+    for number in range(shards):
+        first = number * per_shard
+        name = f"{split}-{number:05d}-of-{shards:05d}.h5"
+        yield ShardEntry(name, split, first, min(per_shard, images - first))
 
 
 def label_rotation(seed: int, object_name: str, split: str, index: int) -> Rotations:

@@ -55,13 +55,24 @@ _ATTRIBUTES: dict[str, tuple[type, ...]] = {
     "candidates_drawn": _WHOLE,
     "candidates_within_tolerance": _WHOLE,
 }
+_UNKNOWN_WHERE_IMPORTED = (  # attributes and data sets
+    "object_sha256",
+    "seed",
+    "render",
+    "engine",
+    "tolerance_px",
+    "candidates_drawn",
+    "candidates_within_tolerance",
+    "segmentation",
+    "marking_pixels",
+)
 _MAX_SIDE = 2 * MAX_GROUP_ORDER  # so that a small file cannot ask for all memory
 _ALLOWED_FILTERS = {DEFLATE, FLETCHER32, SHUFFLE}
 
 
 @dataclass(frozen=True)
 class ShardHeader:
-    """A shard's attributes: all that is needed to make it again.
+    """A shard's attributes: all that is needed to make it again; None where that is not known, in imported shards.
 
     Attributes:
         object: the object's name.
@@ -73,21 +84,23 @@ class ShardHeader:
         render: as `RenderSettings.to_dict`.
         tolerance_px: the object's T; NaN without a marking.
         versions: the software that decides the bytes.
+        source: where an imported shard is from; None for a rendered one.
     """
 
     object: str
-    object_sha256: str
+    object_sha256: str | None
     split: str
     first_index: int
-    seed: int
+    seed: int | None
     camera: dict[str, Any]
-    render: dict[str, Any]
-    tolerance_px: float
+    render: dict[str, Any] | None
+    tolerance_px: float | None
     versions: dict[str, str]
+    source: dict[str, Any] | None = None
 
     def to_attributes(self) -> dict[str, Any]:
-        """Return the HDF5 attributes."""
-        return {
+        """Return the HDF5 attributes; what is not known has none."""
+        attributes = {
             "format": SHARD_FORMAT,
             "format_version": SHARD_FORMAT_VERSION,
             "object": self.object,
@@ -96,11 +109,13 @@ class ShardHeader:
             "first_index": self.first_index,
             "seed": self.seed,
             "camera": json.dumps(self.camera, sort_keys=True),
-            "render": json.dumps(self.render, sort_keys=True),
-            "engine": self.render["engine"],
+            "render": self.render and json.dumps(self.render, sort_keys=True),
+            "engine": self.render and self.render["engine"],
             "tolerance_px": self.tolerance_px,
             "versions": json.dumps(self.versions, sort_keys=True),
+            "source": self.source and json.dumps(self.source, sort_keys=True),
         }
+        return {name: value for name, value in attributes.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -138,8 +153,11 @@ class ShardWriter:
         self._file.attrs.update(header.to_attributes())
         size = (header.camera["height"], header.camera["width"])
         self._image = self._create("image", (count, *size, 3), "u1", chunk_rows=1)
-        self._segmentation = self._create("segmentation", (count, *size), "u1", chunk_rows=1)
-        self._labels = {"rotation": np.zeros((count, 3, 3)), "marking_pixels": np.zeros(count, dtype="f4")}
+        self._segmentation = None
+        self._labels = {"rotation": np.zeros((count, 3, 3))}
+        if header.source is None:
+            self._segmentation = self._create("segmentation", (count, *size), "u1", chunk_rows=1)
+            self._labels["marking_pixels"] = np.zeros(count, dtype="f4")
         if annotated:
             self._labels["symmetry_mask"] = np.zeros((count, len(symmetry_group)), dtype=bool)
         self._labels["symmetry_group"] = symmetry_group
@@ -147,15 +165,20 @@ class ShardWriter:
         self._segmentations: list[bytes] = []  # as they are stored, until their turn in the digest
 
     def add(self, record: ImageRecord) -> None:
-        """Append one image."""
+        """Append one rendered image."""
         row = self._written
-        _store(self._image, row, record.view.rgb[None])
-        self._content.update(record.view.rgb.tobytes())
+        self.add_imported(record.view.rgb, record.R_m2c, record.symmetry_mask)
         self._segmentations.append(_store(self._segmentation, row, record.view.segmentation[None]))
-        self._labels["rotation"][row] = record.R_m2c
         self._labels["marking_pixels"][row] = record.marking_pixels
-        if record.symmetry_mask is not None:
-            self._labels["symmetry_mask"][row] = record.symmetry_mask
+
+    def add_imported(self, rgb: npt.NDArray[np.uint8], R: Rotations, mask: npt.NDArray[np.bool_] | None) -> None:
+        """Append one image (H, W, 3) of which nothing is known but its rotation (3, 3) and its set (G,), if that."""
+        row = self._written
+        _store(self._image, row, rgb[None])
+        self._content.update(rgb.tobytes())
+        self._labels["rotation"][row] = R
+        if mask is not None:
+            self._labels["symmetry_mask"][row] = mask
         self._written += 1
 
     def finish(self, notes: dict[str, int]) -> ShardFile:
@@ -163,9 +186,10 @@ class ShardWriter:
         if self._written != self._count:
             raise ValueError(f"the shard was made for {self._count} images and holds {self._written}")
         self._file.attrs.update(notes)
-        self._content.update(_content_heading(self._segmentation))
-        for chunk in self._segmentations:
-            self._content.update(inflated(chunk, math.prod(self._segmentation.chunks)))
+        if self._segmentation is not None:
+            self._content.update(_content_heading(self._segmentation))
+            for chunk in self._segmentations:
+                self._content.update(inflated(chunk, math.prod(self._segmentation.chunks)))
         for name, values in self._labels.items():
             dataset = self._create(name, values.shape, values.dtype.str)
             _store(dataset, 0, values)
@@ -278,6 +302,8 @@ def _structure_faults(file: h5py.File) -> list[str]:
                 faults.append(f"{name!r} is a link to somewhere else")
             elif name not in _IMAGE_DATASETS and name != "symmetry_group":
                 faults.append(f"{name!r} is not part of the format")
+            elif _is_imported(file) and name in _UNKNOWN_WHERE_IMPORTED:
+                faults.append(f"{name!r} is not part of an imported shard")
         if not faults:
             camera = json.loads(file.attrs["camera"])
             for name, (shape, dtype) in _expected_datasets(file, camera["height"], camera["width"]).items():
@@ -300,11 +326,18 @@ def _format_faults(file: h5py.File) -> list[str]:
 
 
 def _attribute_faults(file: h5py.File) -> list[str]:
+    expected = dict(_ATTRIBUTES)
+    if _is_imported(file):
+        expected = {name: types for name, types in expected.items() if name not in _UNKNOWN_WHERE_IMPORTED}
+        expected["source"] = _TEXT
     faults = [
         f"attribute {name!r} is missing or of a wrong type: found {file.attrs.get(name)!r}"
-        for name, types in _ATTRIBUTES.items()
+        for name, types in expected.items()
         if not isinstance(file.attrs.get(name), types)
     ]
+    if _is_imported(file):
+        stray = [name for name in _UNKNOWN_WHERE_IMPORTED if name in file.attrs]
+        faults += [f"attribute {name!r} is not part of an imported shard" for name in stray]
     return faults or _camera_faults(file.attrs["camera"])
 
 
@@ -329,7 +362,13 @@ def _expected_datasets(file: h5py.File, height: int, width: int) -> dict[str, tu
     }
     if file.get("symmetry_mask", getlink=True) is not None:
         expected["symmetry_mask"] = ((count, group), "|b1")
+    if _is_imported(file):
+        expected = {name: what for name, what in expected.items() if name not in _UNKNOWN_WHERE_IMPORTED}
     return expected
+
+
+def _is_imported(file: h5py.File) -> bool:
+    return "source" in file.attrs
 
 
 def _rows_of(file: h5py.File, name: str) -> int:

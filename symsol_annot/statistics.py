@@ -9,6 +9,8 @@ import numpy as np
 from symsol_annot.manifest import Manifest
 from symsol_annot.shards import open_shard
 
+_FEW_SIZES = 12
+
 
 @dataclass
 class SplitStatistics:
@@ -17,6 +19,7 @@ class SplitStatistics:
     Attributes:
         has_marking: whether the object has one.
         is_annotated: whether the split has symmetry sets.
+        is_imported: whether only the sets' sizes can be counted.
         images: how many images were counted.
         shown: how many of them show the marking.
         set_sizes: |S|: how many images have a set of this size.
@@ -26,6 +29,7 @@ class SplitStatistics:
 
     has_marking: bool
     is_annotated: bool
+    is_imported: bool = False
     images: int = 0
     shown: int = 0
     set_sizes: Counter[int] = field(default_factory=Counter)
@@ -39,16 +43,27 @@ def split_statistics(folder: Path, manifest: Manifest, split: str) -> SplitStati
     Raises:
         DataError: a shard is missing or broken.
     """
-    statistics = SplitStatistics(manifest.recipe["tolerance_px"] is not None, manifest.is_annotated(split))
+    has_marking = manifest.recipe["tolerance_px"] is not None
+    statistics = SplitStatistics(has_marking, manifest.is_annotated(split), manifest.is_imported)
     for entry in manifest.of_split(split):
         if not entry.is_finished:
             continue
         with open_shard(folder / entry.file) as shard:
             statistics.images += len(shard["rotation"])
+            if "symmetry_mask" in shard:
+                statistics.set_sizes.update(shard["symmetry_mask"][...].sum(axis=1).tolist())
+            if statistics.is_imported:
+                continue
             shown = shard["marking_pixels"][...] >= float(shard.attrs["tolerance_px"])
             statistics.shown += int(np.count_nonzero(shown))
             statistics.candidates_drawn += int(shard.attrs["candidates_drawn"])
             statistics.candidates_within_tolerance += int(shard.attrs["candidates_within_tolerance"])
-            if "symmetry_mask" in shard:
-                statistics.set_sizes.update(shard["symmetry_mask"][...].sum(axis=1).tolist())
     return statistics
+
+
+def sizes_in_words(set_sizes: Counter[int]) -> str:
+    """Say which sizes symmetry sets have: each of a few, else the span and the median of those larger than 1."""
+    if len(set_sizes) <= _FEW_SIZES:
+        return ", ".join(f"{size} in {count}" for size, count in sorted(set_sizes.items()))
+    several = sorted(size for size, count in set_sizes.items() for _ in range(count) if size > 1)
+    return f"1 in {set_sizes.get(1, 0)}, else {several[0]} to {several[-1]}, median {several[len(several) // 2]}"

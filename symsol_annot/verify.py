@@ -101,15 +101,21 @@ def _content_faults(shard: h5py.File) -> Iterator[str]:
     no_rotation = ~(rotation_deviation(shard["rotation"][...]) <= ORTHONORMAL_TOLERANCE)
     if no_rotation.any():
         yield f"rotation: {images(no_rotation)}: is no rotation (R^T R = I, det R = 1 to {ORTHONORMAL_TOLERANCE:g})"
+    if "source" not in shard.attrs:
+        yield from _rendering_faults(shard, images)
+    yield from _group_faults(shard["symmetry_group"][...])
+    if "symmetry_mask" in shard:
+        yield from _mask_faults(shard, images)
+
+
+def _rendering_faults(shard: h5py.File, images: Callable[[Flags], str]) -> Iterator[str]:
+    """Yield what no rendered shard can hold; an imported one has none of it."""
     stray = _segmentation_is_bad(shard)
     if stray.any():
         yield f"segmentation: {images(stray)}: holds an id outside 0, 1, 2, or no object"
     no_area = ~(np.isfinite(shard["marking_pixels"][...]) & (shard["marking_pixels"][...] >= 0))
     if no_area.any():
         yield f"marking_pixels: {images(no_area)}: is no area"
-    yield from _group_faults(shard["symmetry_group"][...])
-    if "symmetry_mask" in shard:
-        yield from _mask_faults(shard, images)
 
 
 def _group_faults(group: Rotations) -> Iterator[str]:
@@ -141,7 +147,7 @@ def _mask_faults(shard: h5py.File, images: Callable[[Flags], str]) -> Iterator[s
     mask = shard["symmetry_mask"][...]
     if not mask[:, 0].all():
         yield f"symmetry_mask: {images(~mask[:, 0])}: the set lacks R_gt, the image's own rotation"
-    if np.isnan(shard.attrs["tolerance_px"]):
+    if np.isnan(shard.attrs.get("tolerance_px", np.nan)):
         if not mask.all():
             yield f"symmetry_mask: {images(~mask.all(axis=1))}: a body without marking has its whole group"
         return

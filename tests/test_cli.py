@@ -351,7 +351,7 @@ def make_bare_set():
 
 def test_plot_writes_a_picture_of_the_images_asked_for(symsol_here, tetX_set, tmp_path):
     done = symsol_here(
-        "plot", tetX_set, "--split", "test", "--start", "38", "--count", "9", "--out", tmp_path / "two.png"
+        "plot", "images", tetX_set, "--split", "test", "--start", "38", "--count", "9", "--out", tmp_path / "two.png"
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == f"{tmp_path / 'two.png'}\n"
@@ -421,8 +421,8 @@ def test_render_refuses_each_wrong_option_by_its_name(symsol_here, tmp_path, mon
         (["verify"], "DATA"),
         (["verify", "DATA", "--audit", "0"], "--audit"),
         (["verify", "DATA", "--audit", "1", "--object", "tety"], "Did you mean"),
-        (["plot", "DATA", "--split", "validation"], "--split"),
-        (["plot", "DATA", "--start", "40"], "the split has 40 images"),
+        (["plot", "images", "DATA", "--split", "validation"], "--split"),
+        (["plot", "images", "DATA", "--start", "40"], "the split has 40 images"),
     ],
 )
 def test_a_wrong_command_line_is_exit_code_2(symsol_here, tetX_set, words, said):
@@ -533,9 +533,9 @@ def test_a_damaged_finished_shard_is_named_and_not_drawn_over(symsol_here, tetX_
     assert contents(tetX_set) == before
 
 
-@pytest.mark.parametrize("command", ["info", "verify", "plot"])
+@pytest.mark.parametrize("command", [["info"], ["verify"], ["plot", "images"]])
 def test_a_folder_that_holds_no_set_is_an_error_that_names_it(symsol_here, tmp_path, command):
-    done = symsol_here(command, tmp_path / "not there")
+    done = symsol_here(*command, tmp_path / "not there")
     assert done.returncode == 1
     assert done.stderr.startswith(f"Error: {tmp_path / 'not there'}: holds no manifest.json")
 
@@ -543,10 +543,10 @@ def test_a_folder_that_holds_no_set_is_an_error_that_names_it(symsol_here, tmp_p
 def test_plot_says_which_splits_there_are_and_which_path_cannot_be_written(
     symsol_here, tetX_set, tmp_path, make_bare_set
 ):
-    absent = symsol_here("plot", make_bare_set(tmp_path / "other"), "--split", "train")
+    absent = symsol_here("plot", "images", make_bare_set(tmp_path / "other"), "--split", "train")
     assert absent.returncode == 1
     assert "has no split 'train'; it has test" in absent.stderr
-    unwritable = symsol_here("plot", tetX_set, "--count", "1", "--out", tmp_path / "no" / "sheet.png")
+    unwritable = symsol_here("plot", "images", tetX_set, "--count", "1", "--out", tmp_path / "no" / "sheet.png")
     assert unwritable.returncode == 1
     assert f"{tmp_path / 'no' / 'sheet.png'}: cannot be written" in unwritable.stderr
 
@@ -575,7 +575,9 @@ def test_an_out_folder_that_is_a_file_is_named_with_what_to_do(tmp_path):
 
 
 @obeying_modes
-@pytest.mark.parametrize("words", [["render", *TINY_SET, "--out"], ["info"], ["verify"], ["plot"], ["doctor", "--out"]])
+@pytest.mark.parametrize(
+    "words", [["render", *TINY_SET, "--out"], ["info"], ["verify"], ["plot", "images"], ["doctor", "--out"]]
+)
 def test_a_folder_that_may_not_be_looked_into_is_an_error_that_names_it(tmp_path, words):
     (tmp_path / "closed").mkdir()
     (tmp_path / "closed").chmod(0)
@@ -689,7 +691,7 @@ def test_an_install_without_extras_has_objects_and_types_and_says_what_plots_nee
         "print([resources.files(package).joinpath('py.typed').is_file() for package in packages])"
     )
     assert run(plain_install / "python", "-c", code, env=ALONE).stdout.strip() == "[True, True, True]"
-    done = run(plain_install / "symsol-annot", "plot", tetX_set, env=ALONE)
+    done = run(plain_install / "symsol-annot", "plot", "images", tetX_set, env=ALONE)
     assert done.returncode == 1
     assert "pip install 'symsol-annot[plot]'" in done.stderr
 

@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from symsol_annot.bench import report
 from symsol_annot.bench.averages import difference
-from symsol_annot.bench.comparison import compare, read_scores
+from symsol_annot.bench.comparison import compare
 from symsol_annot.bench.report import TABLE
+from symsol_annot.bench.scores_file import read_scores
 from symsol_annot.bench.scoring import score_file
 from symsol_annot.bench.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.errors import ScoresError

@@ -167,7 +167,7 @@ def test_a_picture_has_three_rows_that_all_show_something(plot, tmp_path):
 
 def test_a_toys_panels_show_its_hypotheses_where_they_are(monkeypatch, tmp_path, places):
     figures = []
-    monkeypatch.setattr(loss_plots, "write_png", lambda figure, _: figures.append(figure))
+    monkeypatch.setattr(loss_plots, "write_figure", lambda figure, _: figures.append(figure))
     loss_plots.plot_toys(tmp_path / "plot.png")
     panels = iter(figures[0].axes)
     for figure, stages in places.items():
@@ -180,7 +180,7 @@ def test_a_toys_panels_show_its_hypotheses_where_they_are(monkeypatch, tmp_path,
 
 def test_curves_panels_show_two_curves_over_the_whole_circle(monkeypatch, tmp_path):
     figures = []
-    monkeypatch.setattr(loss_plots, "write_png", lambda figure, _: figures.append(figure))
+    monkeypatch.setattr(loss_plots, "write_figure", lambda figure, _: figures.append(figure))
     loss_plots.plot_curves(tmp_path / "plot.png")
     for axes, curves in zip(figures[0].axes, CURVES.values(), strict=True):
         assert axes.get_title().startswith(curves.figure)

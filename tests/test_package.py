@@ -5,10 +5,11 @@ import importlib
 import inspect
 import json
 import pkgutil
+import re
 import subprocess
 import sys
-import tomllib
 from importlib import resources
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -48,7 +49,8 @@ def distributions(modules):
 
 
 def test_the_public_names_are_these():
-    assert set(symsol_annot.__all__) == {"Dataset", "Sample", "SymsolError", "__version__", "load", "shuffled_order"}
+    names = {"Dataset", "Sample", "SymsolError", "__version__", "load", "load_sample", "shuffled_order"}
+    assert set(symsol_annot.__all__) == names
     assert len(symsol_annot.__all__) == len(set(symsol_annot.__all__))
     assert all(hasattr(symsol_annot, name) for name in symsol_annot.__all__)
 
@@ -115,9 +117,12 @@ def test_no_other_module_defines_a_public_exception():
     assert stray == []
 
 
-def test_package_command_and_project_state_one_version():
-    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+def test_package_command_installation_and_citation_state_one_version():
+    citation = re.findall(
+        r"^version: (.+)$", (PROJECT / "CITATION.cff").read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
     code = "from symsol_annot_cli.main import main; main()"
     done = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=False)
-    assert done.stdout.split()[-1] == symsol_annot.__version__ == project["version"]
+    assert done.stdout.split()[-1] == symsol_annot.__version__ == version("symsol-annot")
+    assert citation == [symsol_annot.__version__]
     assert done.returncode == 0

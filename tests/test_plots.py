@@ -1,42 +1,21 @@
-"""Pictures: a PNG of plausible size that shows the samples, and points that are the set's rotation vectors."""
+"""Contact sheets: pictures of plausible size that show the samples."""
 
 import sys
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from PIL import Image
 
 from symsol_annot import load
 from symsol_annot.dataset import Sample
-from symsol_annot.errors import OutputError, SymsolError
-from symsol_annot.plots import contact_sheet, draw_pi_ball
-from symsol_annot.so3 import uniform_rotations
+from symsol_annot.errors import OutputError, SettingsError, SymsolError
+from symsol_annot.plots import contact_sheet
 
 
 def pixels_of(path):
     with Image.open(path) as picture:
         assert picture.format == "PNG"
         return np.asarray(picture.convert("RGB"))
-
-
-def rotation_of(vector):
-    """Rodrigues' formula, by hand."""
-    angle = np.linalg.norm(vector)
-    x, y, z = vector / angle if angle else vector
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
-
-
-def ball_of(rotations, R_gt=None):
-    """The collections of points in a pi-ball: for each its (k, 3) places."""
-    figure = Figure()
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot(projection="3d")
-    draw_pi_ball(axes, rotations, R_gt)
-    figure.canvas.draw()
-    return axes, [np.stack(np.ma.getdata(points._offsets3d), axis=-1) for points in axes.collections]
 
 
 def sample_without_set(sample):
@@ -89,40 +68,30 @@ def test_a_sample_without_a_set_has_no_ball(tetX_set, tmp_path):
 
 
 def test_equal_samples_give_equal_bytes(tetX_set, tmp_path):
-    for name in ("a", "b"):
-        contact_sheet(load(tetX_set)[:2], tmp_path / name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
-def test_points_in_the_ball_are_the_rotation_vectors_of_the_set(tetX_set):
-    for sample in load(tetX_set)[:6]:
-        _, (points, own) = ball_of(sample.symmetry_set, sample.rotation)
-        assert np.linalg.norm(points, axis=-1).max() <= np.pi + 1e-9
-        assert len(points) == len(sample.symmetry_set)
-        for point, R in zip(points, sample.symmetry_set, strict=True):
-            assert np.allclose(rotation_of(point), R, atol=1e-9)
-        assert np.allclose(rotation_of(own[0]), sample.rotation, atol=1e-9)
-        assert len(own) == 1
-
-
-def test_the_ball_is_drawn_to_radius_pi_with_equal_axes():
-    half_turns = np.array([np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1])])
-    axes, (points,) = ball_of(
-        np.concatenate([np.eye(3)[None], half_turns, uniform_rotations(80, np.random.default_rng(0))])
-    )
-    assert np.allclose(np.linalg.norm(points[:4], axis=-1), [0, np.pi, np.pi, np.pi])
-    for low, high in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim()):
-        assert (low, high) == (-np.pi, np.pi)
-    outline = [np.stack(line.get_data_3d()) for line in axes.lines]
-    assert np.allclose([np.linalg.norm(line, axis=0).max() for line in outline], np.pi)
+    for form in ("png", "pdf", "svg"):
+        paths = [tmp_path / f"{name}.{form}" for name in ("a", "b")]
+        for path in paths:
+            contact_sheet(load(tetX_set)[:2], path)
+        assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def test_a_path_that_cannot_be_written_is_an_output_error(tetX_set, tmp_path):
     samples = load(tetX_set)[:1]
-    for path in (tmp_path / "no such folder" / "sheet.png", tmp_path):
+    (tmp_path / "folder.png").mkdir()
+    for path in (tmp_path / "no such folder" / "sheet.png", tmp_path / "folder.png"):
         with pytest.raises(OutputError, match="cannot be written") as caught:
             contact_sheet(samples, path)
         assert str(path) in str(caught.value)
+
+
+def test_the_suffix_says_what_is_written_and_another_one_is_refused(tetX_set, tmp_path):
+    for suffix, start in ((".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml"), (".PDF", b"%PDF")):
+        contact_sheet(load(tetX_set)[:1], tmp_path / f"sheet{suffix}")
+        assert (tmp_path / f"sheet{suffix}").read_bytes().startswith(start)
+    for name in ("sheet", "sheet.jpg"):
+        with pytest.raises(SettingsError, match=r"expected a name that ends in \.png, \.pdf or \.svg"):
+            contact_sheet(load(tetX_set)[:1], tmp_path / name)
+        assert not (tmp_path / name).exists()
 
 
 @pytest.mark.parametrize("module", ["matplotlib", "matplotlib.figure", "matplotlib.backends.backend_agg"])

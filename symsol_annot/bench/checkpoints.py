@@ -28,7 +28,8 @@ from symsol_annot.bench.devices import hardware
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
 from symsol_annot.bench.recipe import HypothesisRecipe, Recipe, recipe_from_toml, recipe_to_toml
 from symsol_annot.bench.weights import Weights, load_weights, read_weights
-from symsol_annot.errors import SettingsError, WeightsError
+from symsol_annot.dataset import Dataset
+from symsol_annot.errors import ModelError, SettingsError, WeightsError
 from symsol_annot.files import write_atomically
 
 WEIGHTS, BEST, STATE = "weights.safetensors", "best.safetensors", "state.safetensors"
@@ -100,6 +101,25 @@ class Checkpoint:
     path: Path
     about: About
     model: HypothesisNetwork | RotationClassifier
+
+    def refuse_other_images(self, dataset: Dataset) -> None:
+        """Refuse images unlike those that the model was trained on.
+
+        Raises:
+            ModelError: they are of another object or size.
+        """
+        about, camera = self.about, dataset.manifest.recipe["camera"]
+        if about.object != dataset.object:
+            raise ModelError(
+                f"{self.path}: was trained on {about.object}, the set in {dataset.folder} is of {dataset.object}; "
+                "name another with --data"
+            )
+        size = (camera["width"], camera["height"])
+        if about.image_size != size:
+            raise ModelError(
+                f"{self.path}: was trained on images of {'x'.join(map(str, about.image_size))} pixels, those in "
+                f"{dataset.folder} have {'x'.join(map(str, size))}; render a set with --size {about.image_size[0]}"
+            )
 
 
 def software(device: torch.device, precision: str) -> dict[str, str]:

@@ -54,7 +54,7 @@ def predict(
         PredictionsError: the file is there and about something else.
         OutputError: it cannot be written.
     """
-    _refuse_other_images(checkpoint, dataset)
+    checkpoint.refuse_other_images(dataset)
     by, model = method or checkpoint.about.name, checkpoint.model.to(device)
     if isinstance(model, HypothesisNetwork):
         hypotheses = _all_hypotheses(model, dataset, progress=progress)
@@ -107,18 +107,3 @@ def _in_memory_that_is_there(
                 ) from None
         torch.cuda.empty_cache()
         batch //= 2
-
-
-def _refuse_other_images(checkpoint: Checkpoint, dataset: Dataset) -> None:
-    about, camera = checkpoint.about, dataset.manifest.recipe["camera"]
-    if about.object != dataset.object:
-        raise ModelError(
-            f"{checkpoint.path}: was trained on {about.object}, the set in {dataset.folder} is of {dataset.object}; "
-            "name another with --data"
-        )
-    size = (camera["width"], camera["height"])
-    if about.image_size != size:
-        raise ModelError(
-            f"{checkpoint.path}: was trained on images of {'x'.join(map(str, about.image_size))} pixels, those in "
-            f"{dataset.folder} have {'x'.join(map(str, size))}; render a set with --size {about.image_size[0]}"
-        )

@@ -13,14 +13,13 @@ from torch import Tensor
 
 from symsol_annot.bench.losses import CONCENTRATION, cyclic_cosine_loss, geodesic_loss, von_mises_loss
 from symsol_annot.bench.toy import TOYS, Points, Stage, Toy, positions, winners
-from symsol_annot.canvas import new_figure, write_png
+from symsol_annot.canvas import SERIES, new_figure, write_figure
 from symsol_annot.so3 import Z_AXIS, Angles, rotations_about
 
 EmbeddedLoss = Callable[[Tensor, Tensor], Tensor]
 
 _STEEP = 16.0  # figure A.2b, whose value the thesis does not tell: two minima, where 4 has one
-_HYPOTHESIS, _MODE = "#1f5fa8", "#d1401f"
-_COLOURS = ("#444444", "#d1401f")
+_HYPOTHESIS, _MODE = SERIES[:2]
 _CURVES_INCHES, _TOY_INCHES = (3.2, 2.4), (2.4, 2.5)
 
 
@@ -65,7 +64,7 @@ def summed_loss(angles_rad: Angles, truths_rad: Angles, loss: EmbeddedLoss) -> n
 
 
 def plot_curves(path: Path) -> None:
-    """Write figures 4.5, A.1 and A.2 as a PNG, one row each.
+    """Write figures 4.5, A.1 and A.2 as a picture, one row each.
 
     Raises:
         OutputError: the file cannot be written.
@@ -76,7 +75,7 @@ def plot_curves(path: Path) -> None:
     for row, curves in enumerate(CURVES):
         for column, shown in enumerate(curves):
             axes = cells(row, column)
-            for (name, loss), colour in zip(shown.losses.items(), _COLOURS, strict=True):
+            for (name, loss), colour in zip(shown.losses.items(), SERIES[:2], strict=True):
                 values = summed_loss(angles_rad, np.array(shown.truths_rad), loss)
                 axes.plot(angles_rad, values, color=colour, linewidth=1.2, label=name)
             for truth in shown.truths_rad:
@@ -85,11 +84,11 @@ def plot_curves(path: Path) -> None:
             axes.set(xlim=(0.0, 2.0 * np.pi), ylim=(0.0, None))
             axes.tick_params(labelsize=7)
             axes.legend(fontsize=6)
-    write_png(figure, path)
+    write_figure(figure, path)
 
 
 def plot_toys(path: Path) -> None:
-    """Write figures 4.2 to 4.4 as a PNG, one row each: where hypotheses begin, and where each stage takes them.
+    """Write figures 4.2 to 4.4 as a picture, one row each: where hypotheses begin, and where each stage takes them.
 
     Arrows lead from winners to their modes, pale ones from whom a mode pulls besides; lines border the Voronoi cells.
 
@@ -106,7 +105,7 @@ def plot_toys(path: Path) -> None:
             axes = cells(row, column)
             _draw_toy(axes, toy, hypotheses, stage)
             axes.set_title(title, fontsize=8)
-    write_png(figure, path)
+    write_figure(figure, path)
 
 
 def _grid(rows: int, columns: int, inches: tuple[float, float]) -> tuple[Any, Callable[[int, int], Any]]:

@@ -8,12 +8,13 @@ import json
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, Field, asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeAlias
 
 from symsol_annot.bench.format import MAX_GRID_LEVEL, MAX_HYPOTHESES
+from symsol_annot.bench.tables import from_table
 from symsol_annot.errors import SettingsError
 
 MetaLoss = Literal["wta", "rwta", "ewta"]
@@ -271,44 +272,8 @@ def _recipe_of(table: Mapping[str, Any]) -> tuple[Recipe | None, list[str]]:
     model = keys.pop("model", None)
     if not isinstance(model, str) or model not in _MODELS:
         return None, [f"model: expected {' or '.join(_MODELS)}, found {model!r}"]
-    kind = _MODELS[model]
-    hints, known = get_type_hints(kind), {field.name: field for field in fields(kind)}
-    faults = [f"{key}: is no key of a {model} recipe; keys are {', '.join(known)}" for key in keys if key not in known]
-    faults += [f"{name}: is missing" for name, field in known.items() if _is_required(field) and name not in keys]
-    values: dict[str, Any] = {}
-    for key in [key for key in keys if key in known]:
-        try:
-            values[key] = _value(keys[key], hints[key])
-        except TypeError as error:
-            faults.append(f"{key}: expected {error}, found {keys[key]!r}")
-    if faults:
-        return None, faults
-    recipe = kind(**values)
-    return recipe, list(recipe.faults())
-
-
-def _is_required(field: "Field[Any]") -> bool:
-    return field.default is MISSING
-
-
-def _value(value: Any, hint: Any) -> Any:
-    """Return a value of TOML as the type that a key has; a TypeError says what that is."""
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise TypeError(f"one of {', '.join(get_args(hint))}")
-        return value
-    if get_origin(hint) is tuple:
-        if not isinstance(value, list):
-            raise TypeError("a list of numbers")
-        return tuple(_value(one, get_args(hint)[0]) for one in value)
-    kinds = get_args(hint) or (hint,)
-    if bool not in kinds and isinstance(value, bool):
-        raise TypeError("a number" if {int, float} & set(kinds) else "text")
-    if float in kinds and isinstance(value, int | float):
-        return float(value)
-    if not isinstance(value, kinds):
-        raise TypeError("a whole number" if int in kinds else "a number" if float in kinds else "text")
-    return value
+    recipe, faults = from_table(_MODELS[model], keys, f"a {model} recipe")
+    return recipe, faults or list(recipe.faults() if recipe else ())
 
 
 def _outside(recipe: Any, **ranges: tuple[float, float]) -> Iterator[str]:

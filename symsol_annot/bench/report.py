@@ -192,14 +192,15 @@ def _track_table(track: str, entry: dict[str, Any]) -> list[str]:
     for metric, title, better in TABLE[track]:
         if metric in scores["all"]:
             arrow = {HIGHER: " ↑", LOWER: " ↓", NEITHER: ""}[better]
-            rows.append([title + arrow, *(_cell(scores[s][metric]) for s in strata)])
+            rows.append([title + arrow, *(cell(scores[s][metric]) for s in strata)])
     lines = aligned(rows)
     if track == "classifier":
         lines += [f"  p > {scores['threshold']}, grid of level {scores['grid_level']}; the sweep is in --json"]
     return lines + [line for warning in scores["warnings"] for line in textwrap.wrap(f"WARNING: {warning}", 116)]
 
 
-def _cell(figure: dict[str, Any]) -> str:
+def cell(figure: dict[str, Any]) -> str:
+    """Return a figure with its interval; "-" where it is undefined."""
     if figure["value"] is None:
         return "-"
     interval = "" if figure["low"] is None else f" [{short(figure['low'])}, {short(figure['high'])}]"

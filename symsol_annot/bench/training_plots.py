@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from symsol_annot.bench.checkpoints import About
-from symsol_annot.canvas import new_figure, write_png
+from symsol_annot.canvas import new_figure, write_figure
 
 _ERRORS = ("recall_mean_error_rad", "precision_mean_error_rad")
 _RATIOS = ("coverage_at_5_deg", "accuracy_at_5_deg", "recall", "precision", "f_measure")
@@ -37,7 +37,7 @@ def plot_curve(path: Path, about: About) -> None:
             axes.set_yscale("log")
         axes.legend(fontsize=6)
     figure.suptitle(f"{about.object}: {about.recipe.title}; dotted: the rate drops", fontsize=8)
-    write_png(figure, path)
+    write_figure(figure, path)
 
 
 def _drops_before(about: About, epoch: int) -> bool:

@@ -1,0 +1,70 @@
+"""`symsol-annot gallery`: a folder of pages to look at sets and predictions in a browser."""
+
+from functools import partial
+from pathlib import Path
+
+import click
+from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example, progress_bar
+
+from symsol_annot.gallery.redrawn import Redrawer
+from symsol_annot.gallery.runs import read_runs
+from symsol_annot.gallery.sources import open_sources
+from symsol_annot.gallery.writing import check_plotly, write_gallery
+from symsol_annot.manifest import SPLITS
+from symsol_annot.objects import ObjectSpec
+
+
+@click.command(
+    epilog=example("symsol-annot gallery data", "symsol-annot gallery data/cylO --predictions preds.h5 --out gallery")
+)
+@SET_FOLDER
+@click.option(
+    "--predictions",
+    "paths",
+    metavar="PREDS.H5",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Shown over the truth, scored, worst first; may be repeated.",
+)
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("gallery"), show_default=True)
+@click.option(
+    "--split",
+    "splits",
+    type=click.Choice(SPLITS),
+    multiple=True,
+    default=("test",),
+    show_default=True,
+    help="May be repeated.",
+)
+@click.option("--limit", metavar="N", type=click.IntRange(min=1), help="Only the first N images of a split.  [all]")
+@click.option(
+    "--redrawn",
+    metavar="N",
+    type=click.IntRange(min=0),
+    default=24,
+    show_default=True,
+    help="Draw candidates of N images a split again (needs Blender).",
+)
+@click.option("--object", "spec", type=ObjectType(), help="To draw with, where it is a folder of your own.")
+def gallery(
+    folder: Path,
+    paths: tuple[Path, ...],
+    out: Path,
+    splits: tuple[str, ...],
+    limit: int | None,
+    redrawn: int,
+    spec: ObjectSpec | None,
+) -> None:
+    """Write a page that shows images, their symmetry sets, and predictions over them.
+
+    DATA is a set like data/cylO, or a folder of sets like data. Open index.html of the folder in a browser; it needs
+    no network.
+    """
+    check_plotly()
+    sources = open_sources(folder, splits, limit)
+    with progress_bar(None, "row") as bar:
+        runs = read_runs(paths, folder, sources, bar.update)
+    images = sum(len(source.dataset) for source in sources)
+    with progress_bar(images, "image") as bar:
+        write_gallery(out, sources, runs, partial(Redrawer, count=redrawn, given=spec), bar.update)
+    click.echo(f"{out / 'index.html'}: {images} images" + (f", {len(runs)} runs" if runs else ""))

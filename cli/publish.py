@@ -1,0 +1,40 @@
+"""`symsol-annot publish`: make what a host of data sets needs."""
+
+from pathlib import Path
+
+import click
+from symsol_annot_cli.parameters import SET_FOLDER, example, progress_bar
+
+from symsol_annot.errors import SymsolError
+
+
+@click.command(epilog=example("symsol-annot publish data --out bundle"))
+@SET_FOLDER
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="The bundle's folder.")
+@click.option("--title", help="Of the data.")
+@click.option("--author", "authors", multiple=True, help="A person or a group; may be given several times.")
+@click.option("--version", help="Of the data, like 1.0.0.")
+@click.option("--date", help="Of publication, like 2026-01-31.")
+@click.option("--url", help="Where the data will be.")
+def publish(folder: Path, out: Path, authors: tuple[str, ...], **texts: str | None) -> None:
+    """Make what a host needs: shards, checksums, a Parquet mirror, a dataset card, Croissant metadata, a citation.
+
+    DATA is a set like data/cylO, or a folder of sets like data. The sets are verified first. Shards are hard links
+    where the file system allows. The same command goes on where it was stopped.
+    """
+    try:
+        from symsol_annot.publish import publication  # noqa: PLC0415 - needs pyarrow
+    except ImportError:
+        raise SymsolError("publishing needs pyarrow: `pip install 'symsol-annot[publish]'`") from None
+    from symsol_annot.publish.about import About  # noqa: PLC0415
+    from symsol_annot.publish.sets import sets_in  # noqa: PLC0415
+
+    given = {name: value for name, value in {"authors": authors, **texts}.items() if value}
+    about = About(**given)  # type: ignore[arg-type]
+    sets = sets_in(folder)
+    shards = sum(len(published.manifest.shards) for published in sets)
+    with progress_bar(2 * shards, "shard") as bar:  # verified, then published
+        publication.publish(sets, out, about, bar.update)
+    images = sum(entry.images for published in sets for entry in published.manifest.shards)
+    click.echo(f"{out}: {', '.join(published.name for published in sets)}: {shards} shards, {images} images")
+    click.echo(f"Next:\n  (cd {out} && sha256sum -c SHA256SUMS)\n  and read {out}/README.md, the dataset card")

@@ -1,0 +1,121 @@
+"""Makes docs/results/leaderboard/small: .venv/bin/python docs/baselines.py FOLDER [--only STEP] [--object NAME].
+
+Renders, trains, predicts and scores the small tier in FOLDER, by the commands that the results then name. The same
+command goes on where it stopped. With OMP_NUM_THREADS=1 two objects may be trained at once, one on each core.
+"""
+
+import argparse
+import datetime as dt
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from symsol_annot import __version__
+from symsol_annot.bench.checkpoints import WEIGHTS, read_about
+from symsol_annot.bench.leaderboard import SET
+from symsol_annot.bench.recipe import load_recipe
+from symsol_annot.dataset import load
+
+OBJECTS = ("cylO", "tetX")
+RECIPES = ("wta", "rwta", "ewta", "classifier", "classifier-no-encoding", "classifier-no-pretraining")
+PLACE = Path(__file__).resolve().parent / "results" / "leaderboard" / "small"
+
+
+def render_command(name):
+    """Return the words that render an object's set."""
+    counts = ["--train", "20000", "--test", "500", "--size", "64"]
+    return ["symsol-annot", "render", "--object", name, *counts, "--out", "small"]
+
+
+def train_command(recipe, name):
+    """Return the words that train a recipe on an object."""
+    return ["symsol-annot", "train", recipe, "--data", "small", "--object", name]
+
+
+def predict_command(recipe, name):
+    """Return the words that predict the test images."""
+    run = f"{name}-{recipe}"
+    return ["symsol-annot", "predict", f"runs/{run}", "--data", "small", "--out", f"{run}.h5"]
+
+
+def score_command(recipe):
+    """Return the words that score both objects."""
+    files = [f"{name}-{recipe}.h5" for name in OBJECTS]
+    return ["symsol-annot", "score", *files, "--data", "small", "--json", f"{recipe}.json"]
+
+
+def main():
+    """Run what is asked for, and write the results' files."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--only", choices=("render", "train", "score"))
+    parser.add_argument("--object", choices=OBJECTS)
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    objects = [options.object] if options.object else OBJECTS
+    recipes = [f"small-{name}" for name in RECIPES]
+
+    def run(words):
+        print("$", " ".join(words), flush=True)
+        subprocess.run([Path(sys.executable).with_name(words[0]), *words[1:]], cwd=options.folder, check=True)
+
+    for name in objects:
+        if options.only in (None, "render"):
+            run(render_command(name))
+        if options.only in (None, "train"):
+            for recipe in recipes:
+                run(train_command(recipe, name))
+    if options.only in (None, "score"):
+        for recipe in recipes:
+            for name in OBJECTS:
+                run(predict_command(recipe, name))
+            run(score_command(recipe))
+            (PLACE / f"{recipe}.json").write_bytes((options.folder / f"{recipe}.json").read_bytes())
+            (PLACE / f"{recipe}.toml").write_text(result(recipe, options.folder))
+        (PLACE / SET).write_text(image_set(options.folder))
+
+
+def result(recipe, folder):
+    """Return the result's TOML, from what the checkpoints say of their trainings."""
+    abouts = {name: read_about(folder / "runs" / f"{name}-{recipe}" / WEIGHTS) for name in OBJECTS}
+    words = [f(recipe, name) for name in OBJECTS for f in (train_command, predict_command)]
+    first = abouts[OBJECTS[0]]
+    head = {
+        "title": load_recipe(recipe).title.partition(", small")[0],
+        "by": f"symsol-annot {__version__}",
+        "hardware": f"{first.software['device'].removeprefix('cpu ')}, no GPU; torch {first.software['torch']}",
+        "recipe": recipe,
+        "commands": [" ".join(command) for command in (*words, score_command(recipe))],
+    }
+    lines = [f"{key} = {json.dumps(value, indent=4)}" for key, value in head.items()]
+    lines.append(f"date = {dt.datetime.now(tz=dt.UTC).date()}")
+    for name, about in abouts.items():
+        seconds = {what: sum(row[what] for row in about.rows) for what in ("seconds", "processor_seconds")}
+        began = about.first_stage.partition(", sha256")[0]
+        lines += [
+            f"\n[objects.{name}]",
+            f"seed = {about.seed}",
+            f"minutes = {seconds['seconds'] / 60:.1f}",
+            f"processor_minutes = {seconds['processor_seconds'] / 60:.1f}",
+            f"first_stage = {json.dumps(began)}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def image_set(folder):
+    """Return the set's TOML."""
+    tests = {name: load(folder / "small" / name, "test") for name in OBJECTS}
+    lines = [
+        'title = "Small: 64x64 images, for a CPU"',
+        'split = "test"',
+        f"images = {len(tests[OBJECTS[0]])}",
+        f"commands = {json.dumps([' '.join(render_command(name)) for name in OBJECTS], indent=4)}",
+        "\n[fingerprints]",
+        *(f'{name} = "{test.fingerprint}"' for name, test in tests.items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

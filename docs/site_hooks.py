@@ -1,0 +1,58 @@
+"""What the site does beyond MkDocs: pages from the repository's root, and equations as MathML.
+
+Browsers draw MathML themselves: no script, no font, nothing to fetch. The code host makes equations of the same $..$.
+"""
+
+import html
+import re
+from pathlib import Path
+
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+DOCS = Path(__file__).resolve().parent
+ROOT = DOCS.parent
+FROM_ROOT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+FROM_ROOT |= {f"examples/{path.name}": f"examples/{path.name}" for path in ROOT.glob("examples/*.py")}
+
+_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)([^)#]+)(#[^)]*)?\)")
+_INLINE = re.compile(r'<span class="arithmatex">\\\((.+?)\\\)</span>', re.DOTALL)
+_DISPLAYED = re.compile(r'<div class="arithmatex">\s*\\\[(.+?)\\\]\s*</div>', re.DOTALL)
+_BAR = "<mo>&#x0007C;</mo>"  # which browsers would set as an operator between two others
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Take in what stands outside of docs/."""
+    for name, place in FROM_ROOT.items():
+        files.append(File.generated(config, place, abs_src_path=str(ROOT / name)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Turn links as the code host has them into the site's."""
+    folder = ROOT if page.file.src_uri in FROM_ROOT.values() else (DOCS / page.file.src_uri).parent
+    return _LINK.sub(lambda link: _site_link(folder, *link.groups(default="")), markdown)
+
+
+def _site_link(folder: Path, label: str, target: str, heading: str) -> str:
+    """Return a link of a page in `folder` as the site has it; what is in the repository alone becomes its label."""
+    path = (folder / target).resolve()
+    in_repository = path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else ""
+    if in_repository in FROM_ROOT:
+        return f"[{label}]({FROM_ROOT[in_repository]}{heading})"
+    if path.is_dir() or (path.exists() and not path.is_relative_to(DOCS)):
+        return label
+    return f"[{label}]({target.removeprefix('docs/')}{heading})"
+
+
+def on_page_content(content: str, **_: object) -> str:
+    """Turn equations into MathML."""
+    content = _INLINE.sub(lambda found: _mathml(found[1], "inline"), content)
+    return _DISPLAYED.sub(lambda found: _mathml(found[1], "block"), content)
+
+
+def _mathml(equation: str, display: str) -> str:
+    drawn = convert(html.unescape(equation), display=display)
+    return drawn.replace(_BAR, '<mo stretchy="false" lspace="0" rspace="0">|</mo>')

@@ -1,0 +1,21 @@
+"""Reads a published bundle with Hugging Face datasets.
+
+python datasets_example.py bundle cylO test
+"""
+
+import sys
+
+import numpy as np
+from datasets import load_dataset
+
+bundle, name, split = sys.argv[1:]
+samples = load_dataset(bundle, name, split=split)
+groups = load_dataset(bundle, "symmetry_groups", split="train")
+group = np.array(next(row["symmetry_group"] for row in groups if row["set"] == name))  # (G, 3, 3)
+
+for sample in samples:
+    image = np.asarray(sample["image"])  # (H, W, 3) uint8; sample["image"] is a PIL image, as is "segmentation"
+    rotation = np.array(sample["rotation"])  # (3, 3) float64, model to camera; not through with_format, which rounds
+    marking = "shown" if sample["marking_visible"] else "not shown"
+    symmetry_set = rotation @ group[np.array(sample["symmetry_mask"])]  # (k, 3, 3); the mask is None without sets
+    print(f"{sample['index']}: mean {image.mean():.3f}, marking {marking}, {len(symmetry_set)} rotations")

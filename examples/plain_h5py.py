@@ -1,0 +1,20 @@
+"""Reads a shard with h5py alone.
+
+python plain_h5py.py data/cylO/test-00000-of-00010.h5
+"""
+
+import sys
+
+import h5py
+
+with h5py.File(sys.argv[1]) as shard:
+    tolerance_px = shard.attrs["tolerance_px"]  # NaN without a marking: nothing is shown then
+    print(shard.attrs["object"], shard.attrs["split"], "from image", shard.attrs["first_index"])
+    group = shard["symmetry_group"][:]  # (G, 3, 3)
+    for row in range(len(shard["image"])):
+        image = shard["image"][row]  # (H, W, 3) uint8; "segmentation" is (H, W)
+        rotation = shard["rotation"][row]  # (3, 3), model to camera
+        shown = shard["marking_pixels"][row] >= tolerance_px
+        symmetry_set = rotation @ group[shard["symmetry_mask"][row]]  # (k, 3, 3); splits without sets have no mask
+        marking = "shown" if shown else "not shown"
+        print(f"{row}: mean {image.mean():.3f}, marking {marking}, {len(symmetry_set)} rotations")

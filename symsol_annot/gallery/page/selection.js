@@ -1,0 +1,106 @@
+// Which images are shown, and in which order: columns over all images of all sets, and queries over them.
+"use strict";
+
+SYMSOL.selection = (() => {
+  const NO_MARKING = 0, HIDDEN = 1, SHOWN = 2, BARELY = 3;
+  const MARKINGS = {
+    "": () => true,
+    shown: (stratum) => stratum === SHOWN || stratum === BARELY,
+    barely: (stratum) => stratum === BARELY,
+    hidden: (stratum) => stratum === HIDDEN,
+    none: (stratum) => stratum === NO_MARKING,
+  };
+  const WORDS = ["no marking", "hidden", "shown", "barely shown"];
+
+  // The columns: for each image its set, its row there, and what it is filtered and sorted by.
+  function columns(index) {
+    const { unpacked } = SYMSOL.store;
+    const total = index.sets.reduce((sum, set) => sum + set.images, 0);
+    const table = {
+      total,
+      set: new Uint16Array(total),
+      row: new Uint32Array(total),
+      stratum: new Uint8Array(total),
+      size: new Uint32Array(total),
+      pixels: new Float32Array(total),
+      isRedrawn: new Uint8Array(total),
+      starts: [],
+    };
+    let start = 0;
+    index.sets.forEach((set, number) => {
+      table.starts.push(start);
+      table.set.fill(number, start, start + set.images);
+      for (let row = 0; row < set.images; row++) table.row[start + row] = row;
+      table.stratum.set(unpacked(set.stratum), start);
+      table.size.set(unpacked(set.set_size), start);
+      table.pixels.set(unpacked(set.marking_px), start);
+      for (const row of set.redrawn.images) table.isRedrawn[start + row] = 1;
+      start += set.images;
+    });
+    return table;
+  }
+
+  // Runs of one method and track, over all sets: a column a metric, NaN where an image has no figure.
+  function runs(index, table) {
+    const found = new Map();
+    index.runs.forEach((run, number) => {
+      const key = JSON.stringify([run.method, run.track]);
+      if (!found.has(key)) found.set(key, { key, label: `${run.method} · ${run.track}`, of: new Map(), metrics: new Map() });
+      const one = found.get(key);
+      one.of.set(run.set, { ...run, number });
+      for (const metric of run.metrics) {
+        if (!one.metrics.has(metric.name)) {
+          one.metrics.set(metric.name, { ...metric, values: new Float32Array(table.total).fill(NaN) });
+        }
+        one.metrics.get(metric.name).values.set(SYMSOL.store.unpacked(metric.values), table.starts[run.set]);
+      }
+    });
+    return found;
+  }
+
+  function matches(word, index, table, id) {
+    if (/^\d+$/.test(word)) return table.row[id] === Number(word);
+    const set = index.sets[table.set[id]];
+    return `${set.object} ${set.split} ${WORDS[table.stratum[id]]}`.toLowerCase().includes(word);
+  }
+
+  // The images of a query, in its order: an array of their numbers.
+  function select(index, table, query, run) {
+    const words = query.find.toLowerCase().split(/\s+/).filter(Boolean);
+    const isMarked = MARKINGS[query.marking];
+    const least = query.least === "" ? 0 : Number(query.least);
+    const most = query.most === "" ? Infinity : Number(query.most);
+    const found = [];
+    for (let id = 0; id < table.total; id++) {
+      const set = index.sets[table.set[id]];
+      if (query.object && set.object !== query.object) continue;
+      if (query.split && set.split !== query.split) continue;
+      if (!isMarked(table.stratum[id])) continue;
+      if (table.size[id] < least || table.size[id] > most) continue;
+      if (query.redrawn && !table.isRedrawn[id]) continue;
+      if (!words.every((word) => matches(word, index, table, id))) continue;
+      found.push(id);
+    }
+    const key = sortKey(query.order, table, run);
+    if (!key) return found;
+    const rank = (id) => (Number.isNaN(key(id)) ? Infinity : key(id));
+    return found.sort((a, b) => {
+      const x = rank(a), y = rank(b);
+      return x === y ? a - b : x - y;
+    });
+  }
+
+  // What goes up along an order; null for the order of the files.
+  function sortKey(order, table, run) {
+    if (order === "largest") return (id) => -table.size[id];
+    if (order === "smallest") return (id) => table.size[id];
+    if (order === "least-marking") return (id) => (table.stratum[id] >= SHOWN ? table.pixels[id] : NaN);
+    const [end, name] = order.split(":");
+    const metric = run && run.metrics.get(name);
+    if (!metric) return null;
+    const sign = (metric.better === "higher") === (end === "worst") ? 1 : -1;
+    return (id) => sign * metric.values[id];
+  }
+
+  return { columns, runs, select, WORDS, NO_MARKING, SHOWN, BARELY };
+})();

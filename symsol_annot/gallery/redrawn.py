@@ -1,0 +1,160 @@
+"""Candidates of an image, drawn again: members of its set look the same, rejected candidates do not."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench.nearest import nearest_angles
+from symsol_annot.dataset import Dataset, Sample
+from symsol_annot.errors import ObjectError, RendererMissingError
+from symsol_annot.gallery.runs import Run
+from symsol_annot.gallery.sources import Source
+from symsol_annot.objects import ObjectSpec, builtin_names, load_object
+from symsol_annot.render_process import RenderProcess
+from symsol_annot.scene import Camera, Renderer, RenderSettings
+
+DRAWN_A_SIDE = 4  # members, and as many rejected candidates
+
+OpenRenderer = Callable[[ObjectSpec, Camera, RenderSettings], Renderer]
+Bytes = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """A candidate R_gt g, drawn.
+
+    Attributes:
+        element: the index of g in the body's group.
+        is_member: whether it is in the image's symmetry set.
+        angle_deg: from the image's own rotation for a member; from the nearest member for a rejected candidate.
+        differing_px: in how many pixels its segmentation differs from the image's.
+        image: (H, W, 3) u8 RGB.
+    """
+
+    element: int
+    is_member: bool
+    angle_deg: float
+    differing_px: int
+    image: Bytes
+
+
+class Redrawer:
+    """Draws candidates of one source's images; `missing` says why it cannot, or is empty.
+
+    Args:
+        source: whose images.
+        runs: over them; the worst images of the first run are taken, else images evenly over the split.
+        count: of how many images.
+        given: the object, where it is not built in.
+        open_renderer: opens what draws.
+
+    Attributes:
+        images: which images are drawn again, ascending.
+        missing: why none are.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        runs: Sequence[Run],
+        count: int,
+        given: ObjectSpec | None = None,
+        open_renderer: OpenRenderer = RenderProcess,
+    ) -> None:
+        self._renderer: Renderer | None = None
+        self.missing = "none were asked for"
+        if count:
+            self._renderer, self.missing = _opened(source.dataset, given, open_renderer)
+        self.images = _chosen_images(len(source.dataset), count, runs) if self._renderer else ()
+
+    def draw(self, sample: Sample) -> list[Drawing]:
+        """Return the drawings of an image, members first, each side from near to far.
+
+        Raises:
+            RenderError: Blender stopped.
+        """
+        renderer = self._renderer
+        if renderer is None or sample.index not in self.images:
+            return []
+        return [_drawn(renderer, sample, element, angle) for element, angle in _chosen_candidates(sample)]
+
+    def close(self) -> None:
+        """End the renderer."""
+        if self._renderer:
+            self._renderer.close()
+
+
+def _opened(dataset: Dataset, given: ObjectSpec | None, open_renderer: OpenRenderer) -> tuple[Renderer | None, str]:
+    """Return what draws a set's object as its images were drawn, or None and why there is no such thing."""
+    recipe = dataset.manifest.recipe
+    if dataset.manifest.is_imported:
+        return None, "the set was imported, and how its images were drawn is not known"
+    try:
+        spec = _object_of(dataset, given)
+        renderer = open_renderer(spec, Camera(**recipe["camera"]), RenderSettings.from_dict(recipe["render"]))
+        _ = renderer.versions  # starts it
+    except (ObjectError, RendererMissingError) as error:
+        return None, str(error)
+    return renderer, ""
+
+
+def _drawn(renderer: Renderer, sample: Sample, element: int, angle_rad: float) -> Drawing:
+    view = renderer.render(sample.rotation @ sample.symmetry_group[element])
+    differing = int(np.count_nonzero(view.segmentation != sample.segmentation))
+    is_member = bool(np.asarray(sample.symmetry_mask)[element])
+    return Drawing(element, is_member, float(np.degrees(angle_rad)), differing, view.rgb)
+
+
+def _object_of(dataset: Dataset, given: ObjectSpec | None) -> ObjectSpec:
+    """Return the object that a set was made from.
+
+    Raises:
+        ObjectError: it is not built in and was not given, or is another one.
+    """
+    name = dataset.object
+    if given and given.name == name:
+        spec = given
+    elif name in builtin_names():
+        spec = load_object(name)
+    else:
+        raise ObjectError(f"the object {name!r} is not built in; give its folder with --object")
+    if spec.digest != dataset.manifest.recipe["object_sha256"]:
+        raise ObjectError(f"the set was made from another {name} than the one here (their digests differ)")
+    return spec
+
+
+def _chosen_images(images: int, count: int, runs: Sequence[Run]) -> tuple[int, ...]:
+    if runs:
+        worst = runs[0].worst_first()
+        return tuple(sorted(int(i) for i in worst[worst < images][:count]))
+    return tuple(int(i) for i in _spread(np.arange(images), count))
+
+
+def _chosen_candidates(sample: Sample) -> list[tuple[int, float]]:
+    """Return members but the image itself, and rejected candidates, each with its angle in rad, from near to far.
+
+    The angle between R g and R g' is that between g and g'.
+    """
+    mask, group = np.asarray(sample.symmetry_mask), sample.symmetry_group
+    members, rejected = np.flatnonzero(mask), np.flatnonzero(~mask)
+    sides = ((members[members != 0], group[:1]), (rejected, group[members]))  # the identity is the image itself
+    return [
+        candidate
+        for elements, origin in sides
+        if len(elements)
+        for candidate in _near_to_far(elements, nearest_angles(group[elements], origin))
+    ]
+
+
+def _near_to_far(elements: npt.NDArray[np.intp], angles: npt.NDArray[np.float64]) -> list[tuple[int, float]]:
+    order = _spread(np.argsort(angles, kind="stable"), DRAWN_A_SIDE)
+    return [(int(elements[i]), float(angles[i])) for i in order]
+
+
+def _spread(values: npt.NDArray[np.intp], count: int) -> npt.NDArray[np.intp]:
+    """Return `count` of the values (or all), the first and the last among them, evenly spaced."""
+    if len(values) <= count:
+        return values
+    return values[np.linspace(0, len(values) - 1, count).round().astype(int)]

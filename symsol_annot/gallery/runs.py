@@ -1,0 +1,129 @@
+"""Predictions in a gallery: each image's scores, and the rotations that were predicted for it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench.predicted import Predicted, predicted_rotations
+from symsol_annot.bench.predictions import Predictions, open_predictions
+from symsol_annot.bench.report import NEITHER, TABLE
+from symsol_annot.bench.scoring import TrackScores, score
+from symsol_annot.bench.tracks import Track
+from symsol_annot.bench.truth import Truth
+from symsol_annot.errors import PredictionsError, ScoresError
+from symsol_annot.gallery.sources import Source
+
+_SAME_OF_ONE_IMAGE = "recall_mean_error_image_mean_rad"  # as recall_mean_error_rad; their means differ
+
+
+@dataclass(frozen=True, eq=False)
+class Metric:
+    """A figure of every image.
+
+    Attributes:
+        name: as in scores.json.
+        title: in words.
+        better: "higher", "lower", or "" where neither is.
+        values: (N,), NaN where undefined.
+        means: stratum to the figure over its images.
+    """
+
+    name: str
+    title: str
+    better: str
+    values: npt.NDArray[np.float64]
+    means: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One track of a predictions file.
+
+    Attributes:
+        source: the number of the source that it is about.
+        method: what the method calls itself.
+        track: "hypotheses", "classifier" or "density".
+        name: of the result, like "hypotheses (M = 30)".
+        warnings: why it does not rank.
+        metrics: those of the scorer's table.
+        predicted: for each image of the split.
+    """
+
+    source: int
+    method: str
+    track: str
+    name: str
+    warnings: tuple[str, ...]
+    metrics: tuple[Metric, ...]
+    predicted: tuple[Predicted, ...]
+
+    @property
+    def leading(self) -> Metric:
+        """The first metric that tells good from bad."""
+        return next(metric for metric in self.metrics if metric.better != NEITHER)
+
+    def worst_first(self) -> npt.NDArray[np.int64]:
+        """Return the split's images from worst to best by the leading metric, undefined ones last."""
+        sign = 1.0 if self.leading.better == "higher" else -1.0
+        return np.argsort(sign * self.leading.values, kind="stable")  # NaN comes last
+
+
+def read_runs(
+    paths: Sequence[Path], data: Path, sources: Sequence[Source], on_images: Callable[[int], object] = lambda _: None
+) -> list[Run]:
+    """Read and score predictions files, one run a track.
+
+    Args:
+        paths: of predictions files, of any number of methods.
+        data: a set's folder, or a folder of sets.
+        sources: what the gallery shows.
+        on_images: called with a count whenever so many images of a track were scored.
+
+    Raises:
+        PredictionsError: with all faults of a file, or it is about none of the sources.
+        ScoresError: two files are the same track of the same method about the same images.
+        DataError: the set that a file is about is not there or damaged.
+    """
+    runs: list[Run] = []
+    for path in paths:
+        with open_predictions(path, data) as predictions:
+            number = _source_of(path, predictions.truth, sources)
+            scores = score(predictions, on_images)
+            runs += [_run(number, predictions, track, scores.tracks[track.name]) for track in predictions.tracks]
+    keys = [(run.source, run.method, run.track) for run in runs]
+    if len(set(keys)) < len(keys):
+        raise ScoresError("two of the predictions files are the same track of the same method; give each once")
+    return runs
+
+
+def _source_of(path: Path, truth: Truth, sources: Sequence[Source]) -> int:
+    for number, source in enumerate(sources):
+        if source.truth.fingerprint == truth.fingerprint:
+            return number
+    shown = ", ".join(f"{source.truth.object} {source.truth.split}" for source in sources)
+    fault = f"the file: is about {truth.object} {truth.split}, which the gallery does not show; it shows {shown}"
+    raise PredictionsError(str(path), [fault])
+
+
+def _run(source: int, predictions: Predictions, track: Track, scores: TrackScores) -> Run:
+    predicted = tuple(predicted_rotations(predictions, track))
+    metrics = tuple(_metrics(track.name, scores))
+    return Run(source, predictions.method, track.name, scores.name, scores.warnings, metrics, predicted)
+
+
+def _metrics(track: str, scores: TrackScores) -> list[Metric]:
+    """Return the table's metrics, each of which says something of a single image."""
+    found: list[Metric] = []
+    over = ""
+    for name, title, better in TABLE[track]:
+        over = over if title.startswith(" ") else title
+        values = scores.per_image.values.get(name)
+        if values is None or name == _SAME_OF_ONE_IMAGE:
+            continue
+        words = f"{over}: {title.strip()}" if title.startswith(" ") else title
+        means = {stratum: figures[name].value for stratum, figures in scores.figures.items()}
+        found.append(Metric(name, words, better, values, means))
+    return found

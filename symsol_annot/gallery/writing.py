@@ -1,0 +1,242 @@
+"""Writing a gallery: a folder with a page, the page's scripts, pictures as PNG and data as scripts.
+
+index.html, assets/             the page, plotly's bundle
+data/index.js                   what there is: sets, runs, and a column a filter
+sets/00-cylO-test/00003/        images 300 to 399: labels.js, a run-0.js a run, image-000300.png, ..
+sets/00-cylO-test/redrawn.js    which candidates were drawn again; their pictures beside it
+"""
+
+import contextlib
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from importlib import resources
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from symsol_annot import __version__
+from symsol_annot.bench.predicted import WHAT, Predicted
+from symsol_annot.errors import OutputError, SymsolError
+from symsol_annot.files import make_folder, output_errors
+from symsol_annot.gallery.redrawn import Drawing, Redrawer
+from symsol_annot.gallery.runs import Run
+from symsol_annot.gallery.scripts import Document, number, packed, write_script
+from symsol_annot.gallery.sources import Source
+from symsol_annot.plots import ID_COLOURS
+from symsol_annot.png import to_png
+from symsol_annot.so3 import rotation_to_quat_wxyz
+
+CHUNK_IMAGES = 100  # whose labels the page loads at once
+STRATUM_CODES = ("all", "hidden", "shown", "barely")  # "all" where there is no marking
+_INDEX = Path("data", "index.js")  # by which a gallery is known as one
+_PLOTLY = "plotly.min.js"
+_DRAWS_NONE = partial(Redrawer, count=0)
+
+
+def check_plotly() -> None:
+    """Raise where plotly, whose JavaScript the page draws with, is not installed.
+
+    Raises:
+        SymsolError: it is not.
+    """
+    if find_spec("plotly") is None:
+        raise SymsolError("the gallery needs plotly, which is not installed: `pip install 'symsol-annot[gallery]'`")
+
+
+def write_gallery(
+    out: Path,
+    sources: Sequence[Source],
+    runs: Sequence[Run] = (),
+    open_redrawer: Callable[[Source, Sequence[Run]], Redrawer] = _DRAWS_NONE,
+    on_image: Callable[[], object] = lambda: None,
+) -> None:
+    """Write a gallery into a folder, whole or not at all.
+
+    Args:
+        out: the folder; a gallery that is there is replaced once the new one is whole, anything else is refused.
+        sources: what it shows.
+        runs: predictions over them.
+        open_redrawer: from a source and its runs to what draws candidates again.
+        on_image: called after each image.
+
+    Raises:
+        SymsolError: plotly is not installed.
+        OutputError: the folder holds something else, or cannot be written.
+        DataError: an image cannot be read.
+        RenderError: Blender stopped.
+    """
+    check_plotly()
+    with _new_folder(out) as new:
+        redrawn = [
+            _write_source(
+                new, source, [(n, run) for n, run in enumerate(runs) if run.source == k], open_redrawer, on_image
+            )
+            for k, source in enumerate(sources)
+        ]
+        _write_page(new)
+        (new / _INDEX).parent.mkdir()
+        write_script(new / _INDEX, "index", _index(sources, runs, redrawn))
+
+
+@contextlib.contextmanager
+def _new_folder(out: Path) -> Iterator[Path]:
+    """Give an empty folder beside `out`, which takes its place at the end, and goes where there is an error."""
+    out = out.absolute()
+    with output_errors(out):
+        if out.exists() and not out.is_dir():
+            raise NotADirectoryError(20, "is a file")
+        if out.is_dir() and any(out.iterdir()) and not (out / _INDEX).is_file():
+            raise OutputError(f"{out}: holds something that is no gallery; nothing was touched. Choose another --out")
+    make_folder(out.parent)
+    new, old = (out.with_name(f".{out.name}.{os.getpid()}.{state}") for state in ("partial", "old"))
+    with output_errors(out):
+        try:
+            new.mkdir()
+            yield new
+            if out.exists():
+                out.rename(old)
+            new.rename(out)
+        finally:
+            for leftover in (new, old):
+                shutil.rmtree(leftover, ignore_errors=True)
+
+
+def _write_page(folder: Path) -> None:
+    assets = folder / "assets"
+    assets.mkdir()
+    for file in (resources.files("symsol_annot.gallery") / "page").iterdir():
+        place = folder if file.name == "index.html" else assets
+        (place / file.name).write_bytes(file.read_bytes())
+    bundle = resources.files("plotly") / "package_data" / _PLOTLY
+    (assets / _PLOTLY).write_bytes(bundle.read_bytes())
+
+
+def _index(sources: Sequence[Source], runs: Sequence[Run], redrawn: Sequence[Document]) -> Document:
+    return {
+        "version": __version__,
+        "chunk_images": CHUNK_IMAGES,
+        "strata": list(STRATUM_CODES),
+        "sets": [_describe(source, about) for source, about in zip(sources, redrawn, strict=True)],
+        "runs": [_describe_run(run, sources[run.source]) for run in runs],
+    }
+
+
+def _describe(source: Source, redrawn: Document) -> Document:
+    truth, shown = source.truth, len(source.dataset)
+    camera = source.dataset.manifest.recipe["camera"]
+    codes = np.zeros(len(truth), dtype=np.uint8)
+    for code, stratum in enumerate(STRATUM_CODES):
+        if stratum in truth.strata:
+            codes[truth.strata[stratum]] = code
+    if not truth.has_marking:
+        codes[:] = 0
+    return {
+        "object": truth.object,
+        "split": truth.split,
+        "folder": source.folder,
+        "place": source.dataset.folder.name,
+        "fingerprint": truth.fingerprint,
+        "images": shown,
+        "images_of_split": len(truth),
+        "width": camera["width"],
+        "height": camera["height"],
+        "has_segmentation": not source.dataset.manifest.is_imported,
+        "group_order": len(truth.labels.symmetry_group),
+        "group": packed(rotation_to_quat_wxyz(truth.labels.symmetry_group), "f4"),
+        "stratum": packed(codes[:shown], "u1"),
+        "set_size": packed(truth.set_sizes[:shown], "u4"),
+        "marking_px": packed(truth.labels.marking_pixels[:shown], "f4"),
+        "redrawn": redrawn,
+    }
+
+
+def _describe_run(run: Run, source: Source) -> Document:
+    shown = len(source.dataset)
+    metrics = [
+        {
+            "name": metric.name,
+            "title": metric.title,
+            "better": metric.better,
+            "values": packed(metric.values[:shown], "f4"),
+            "means": {stratum: number(value) for stratum, value in metric.means.items()},
+        }
+        for metric in run.metrics
+    ]
+    return {
+        "set": run.source,
+        "method": run.method,
+        "track": run.track,
+        "name": run.name,
+        "drawn": WHAT[run.track],
+        "warnings": list(run.warnings),
+        "metrics": metrics,
+    }
+
+
+def _write_source(
+    gallery: Path,
+    source: Source,
+    runs: Sequence[tuple[int, Run]],
+    open_redrawer: Callable[[Source, Sequence[Run]], Redrawer],
+    on_image: Callable[[], object],
+) -> Document:
+    """Write what belongs to one source; return which of its images were drawn again."""
+    folder = gallery / source.folder
+    folder.mkdir(parents=True)
+    drawings: dict[int, list[Document]] = {}
+    with contextlib.closing(open_redrawer(source, [run for _, run in runs])) as redrawer, source.dataset as dataset:
+        for start in range(0, len(dataset), CHUNK_IMAGES):
+            chunk = folder / f"{start // CHUNK_IMAGES:05d}"
+            chunk.mkdir()
+            rows = range(start, min(start + CHUNK_IMAGES, len(dataset)))
+            write_script(chunk / "labels.js", f"{source.folder}/{chunk.name}/labels", _labels(source, rows))
+            for n, run in runs:
+                document = _predicted([run.predicted[i] for i in rows])
+                write_script(chunk / f"run-{n}.js", f"{source.folder}/{chunk.name}/run-{n}", document)
+            for i in rows:
+                sample = dataset[i]
+                (chunk / f"image-{i:06d}.png").write_bytes(to_png(sample.image))
+                if sample.segmentation is not None:
+                    ids = to_png(sample.segmentation, ID_COLOURS)
+                    (chunk / f"segmentation-{i:06d}.png").write_bytes(ids)
+                found = redrawer.draw(sample)
+                if found:
+                    drawings[i] = [_write_drawing(folder, i, drawing) for drawing in found]
+                on_image()
+    if drawings:
+        write_script(folder / "redrawn.js", f"{source.folder}/redrawn", {str(i): d for i, d in drawings.items()})
+    return {"images": sorted(drawings), "missing": redrawer.missing}
+
+
+def _labels(source: Source, rows: range) -> Document:
+    labels, part = source.truth.labels, slice(rows.start, rows.stop)
+    return {
+        "quat_wxyz": packed(rotation_to_quat_wxyz(labels.rotation[part]), "f4"),
+        "mask": packed(np.packbits(labels.symmetry_mask[part], axis=1, bitorder="little"), "u1"),
+    }
+
+
+def _predicted(predicted: Sequence[Predicted]) -> Document:
+    quat_wxyz = rotation_to_quat_wxyz(np.concatenate([one.rotations for one in predicted]))
+    return {
+        "offsets": packed(np.cumsum([0, *(len(one.weights) for one in predicted)]), "u4"),
+        "quat_wxyz": packed(np.rint(32767 * quat_wxyz), "i2"),
+        "weights": packed(np.rint(255 * np.concatenate([one.weights for one in predicted])), "u1"),
+        "left_out": [one.left_out for one in predicted],
+    }
+
+
+def _write_drawing(folder: Path, image: int, drawing: Drawing) -> Document:
+    file = f"redrawn/{image:06d}-{drawing.element:04d}.png"
+    (folder / file).parent.mkdir(exist_ok=True)
+    (folder / file).write_bytes(to_png(drawing.image))
+    return {
+        "file": file,
+        "element": drawing.element,
+        "is_member": drawing.is_member,
+        "angle_deg": round(drawing.angle_deg, 2),
+        "differing_px": drawing.differing_px,
+    }

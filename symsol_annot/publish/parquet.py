@@ -1,0 +1,83 @@
+"""A set as Parquet, for readers that know no HDF5: a file a shard, images as PNG, labels to the bit.
+
+The schema says in Hugging Face's way which columns are images; to other readers they are PNG files as bytes.
+"""
+
+import io
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from symsol_annot.chunks import deflate_version
+from symsol_annot.dataset import Sample
+from symsol_annot.png import to_png
+from symsol_annot.so3 import Rotations
+
+PARQUET_FORMAT_VERSION = 1
+ROWS_PER_GROUP = 100  # what a reader of one image has to fetch: about a megabyte
+_IMAGE = pa.struct({"bytes": pa.binary(), "path": pa.string()})
+_ROTATION = pa.list_(pa.list_(pa.float64()))
+_SAMPLE_COLUMNS = {
+    "index": pa.int64(),
+    "image": _IMAGE,
+    "segmentation": _IMAGE,
+    "rotation": _ROTATION,
+    "symmetry_mask": pa.list_(pa.bool_()),
+    "marking_pixels": pa.float32(),
+    "marking_visible": pa.bool_(),
+}
+_GROUP_COLUMNS = {"set": pa.string(), "symmetry_group": pa.list_(_ROTATION)}
+
+
+def samples_to_parquet(samples: Iterable[Sample], source: dict[str, str]) -> bytes:
+    """Return samples as a Parquet file, a row each.
+
+    Args:
+        samples: of one set, in order.
+        source: where they come from; goes into the file, under the name symsol_annot, with the software's versions.
+    """
+    columns: dict[str, list[Any]] = {name: [] for name in _SAMPLE_COLUMNS}
+    for sample in samples:
+        mask = sample.symmetry_mask
+        columns["index"].append(sample.index)
+        for name, pixels in (("image", sample.image), ("segmentation", sample.segmentation)):
+            columns[name].append(None if pixels is None else {"bytes": to_png(pixels), "path": None})
+        columns["rotation"].append(sample.rotation.tolist())
+        columns["symmetry_mask"].append(None if mask is None else mask.tolist())
+        columns["marking_pixels"].append(np.float32(sample.marking_pixels))
+        columns["marking_visible"].append(sample.marking_visible)
+    return _to_bytes(columns, _SAMPLE_COLUMNS, source)
+
+
+def groups_to_parquet(groups: dict[str, Rotations]) -> bytes:
+    """Return the symmetry groups (G, 3, 3) of sets, by the sets' names, as a Parquet file: a row a set."""
+    columns = {"set": list(groups), "symmetry_group": [group.tolist() for group in groups.values()]}
+    return _to_bytes(columns, _GROUP_COLUMNS, {})
+
+
+def is_made_from(path: Path, source: dict[str, str]) -> bool:
+    """Tell whether a file that `samples_to_parquet` wrote has this source, and would get the same bytes today."""
+    return bool(pq.read_schema(path).metadata[b"symsol_annot"] == _stamp(source).encode())
+
+
+def _stamp(source: dict[str, str]) -> str:
+    versions = {"pyarrow": pa.__version__, "zlib-ng": deflate_version()}
+    return json.dumps({"format_version": PARQUET_FORMAT_VERSION, **source, "versions": versions})
+
+
+def _to_bytes(columns: dict[str, list[Any]], types: dict[str, Any], source: dict[str, str]) -> bytes:
+    images = [name for name, kind in types.items() if kind is _IMAGE]
+    metadata = {
+        "huggingface": json.dumps({"info": {"features": {name: {"_type": "Image"} for name in images}}}),
+        "symsol_annot": _stamp(source),
+    }
+    schema = pa.schema([*types.items()], metadata=metadata)
+    file = io.BytesIO()
+    with pq.ParquetWriter(file, schema, compression="zstd", write_page_index=True) as writer:
+        writer.write_table(pa.table(columns, schema), row_group_size=ROWS_PER_GROUP)
+    return file.getvalue()

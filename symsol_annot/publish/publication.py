@@ -1,0 +1,95 @@
+"""Sets put into a bundle, in order: verified, linked, mirrored as Parquet, described."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from symsol_annot.dataset import load
+from symsol_annot.errors import DataError
+from symsol_annot.files import file_sha256, held_folder
+from symsol_annot.manifest import MANIFEST_NAME
+from symsol_annot.publish.about import About
+from symsol_annot.publish.bundle import Bundle, open_bundle
+from symsol_annot.publish.card import CARD_NAMES, card
+from symsol_annot.publish.citation import CITATION_NAME, bibtex, citation_cff
+from symsol_annot.publish.croissant import CROISSANT_NAME, GROUPS_NAME, croissant_json
+from symsol_annot.publish.figures import measure
+from symsol_annot.publish.parquet import groups_to_parquet, is_made_from, samples_to_parquet
+from symsol_annot.publish.sets import PublishedSet
+from symsol_annot.so3 import Rotations
+from symsol_annot.verify import verify
+
+_DESCRIPTION = (
+    "Images of symmetric objects, rendered in Blender, each with the set of all rotations that could have produced it, "
+    "the object's own occlusion of its marking counted in."
+)
+
+
+def publish(
+    sets: tuple[PublishedSet, ...], out: Path, about: About, on_shard: Callable[[], object] = lambda: None
+) -> None:
+    """Make a bundle of sets in a folder; the same call again goes on where it was stopped, and keeps what is good.
+
+    The same sets and the same `about` give the same bytes, on the same pyarrow and zlib-ng.
+
+    Args:
+        sets: as `sets_in` returned them.
+        out: an empty or missing folder, or one that holds this bundle.
+        about: what the publisher says.
+        on_shard: called twice a shard: when it is verified, and when it is in the bundle.
+
+    Raises:
+        DataError: a set has faults; the message lists all of them.
+        OutputError: the folder holds something else, or cannot be written to.
+    """
+    with held_folder(out):
+        bundle = open_bundle(out, _expected(sets))
+        _refuse_faults(sets, on_shard)
+        for published in sets:
+            _put_set(bundle, published, on_shard)
+        groups = {published.name: _group_of(published) for published in sets}
+        bundle.put(GROUPS_NAME, groups_to_parquet(groups))
+        bundle.put(CITATION_NAME, citation_cff(about).encode())
+        bundle.put(CROISSANT_NAME, croissant_json(about, _DESCRIPTION, bibtex(about), sets, bundle))
+        figures = {(one.name, split): measure(one, split, bundle) for one in sets for split in one.splits}
+        for name in CARD_NAMES:
+            bundle.put(name, card(about, sets, figures).encode())
+        bundle.finish()
+
+
+def _expected(sets: tuple[PublishedSet, ...]) -> dict[str, str | None]:
+    """Return name to SHA-256 of each file of the bundle; None where it is still to be seen."""
+    expected: dict[str, str | None] = dict.fromkeys((*CARD_NAMES, CITATION_NAME, CROISSANT_NAME, GROUPS_NAME))
+    for published in sets:
+        expected[published.manifest_name] = file_sha256(published.folder / MANIFEST_NAME)
+        for entry in published.manifest.shards:
+            expected[published.shard_name(entry)] = entry.sha256
+            expected[published.parquet_name(entry)] = None
+    return expected
+
+
+def _refuse_faults(sets: tuple[PublishedSet, ...], on_shard: Callable[[], object]) -> None:
+    faults = [f"{one.folder}: {fault}" for one in sets for fault in verify(one.folder, on_shard)]
+    if faults:
+        raise DataError(
+            "nothing was published, for the data have faults (`symsol-annot verify --repair` makes shards again):\n"
+            + "\n".join(f"  - {fault}" for fault in faults)
+        )
+
+
+def _put_set(bundle: Bundle, published: PublishedSet, on_shard: Callable[[], object]) -> None:
+    manifest = published.manifest
+    bundle.put(published.manifest_name, (published.folder / MANIFEST_NAME).read_bytes())
+    for split in published.splits:
+        with load(published.folder, split) as dataset:
+            for entry in manifest.of_split(split):
+                bundle.link(published.shard_name(entry), published.folder / entry.file, str(entry.sha256))
+                name, source = published.parquet_name(entry), {"shard": entry.file, "shard_sha256": str(entry.sha256)}
+                if bundle.sha256(name) is None or not is_made_from(bundle.folder / name, source):
+                    samples = dataset[entry.first_index : entry.first_index + entry.images]
+                    bundle.put(name, samples_to_parquet(samples, source))
+                on_shard()
+
+
+def _group_of(published: PublishedSet) -> Rotations:
+    with load(published.folder, published.splits[0]) as dataset:
+        return dataset.symmetry_group

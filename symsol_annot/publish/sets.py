@@ -1,0 +1,83 @@
+"""Which sets a folder holds, and whether they may be published."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from symsol_annot.errors import DataError
+from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest
+
+GROUPS_CONFIG = "symmetry_groups"  # beside the sets in the Parquet mirror
+
+
+@dataclass(frozen=True)
+class PublishedSet:
+    """A set that is to be published.
+
+    Attributes:
+        name: its folder's; the name of its folder and its configuration in the bundle.
+        folder: where it is.
+        manifest: what it consists of.
+    """
+
+    name: str
+    folder: Path
+    manifest: Manifest
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """The splits that it has."""
+        return tuple(split for split in SPLITS if self.manifest.images(split))
+
+    def shard_name(self, entry: ShardEntry) -> str:
+        """Return the name of a shard in the bundle."""
+        return f"data/{self.name}/{entry.file}"
+
+    def parquet_name(self, entry: ShardEntry) -> str:
+        """Return the name of the same shard as Parquet."""
+        return f"parquet/{self.name}/{entry.file.removesuffix('.h5')}.parquet"
+
+    @property
+    def manifest_name(self) -> str:
+        """The name of the manifest in the bundle."""
+        return f"data/{self.name}/{MANIFEST_NAME}"
+
+
+def sets_in(folder: Path) -> tuple[PublishedSet, ...]:
+    """Return the set that a folder is, or the sets in it, by name.
+
+    Raises:
+        DataError: there is none, or one is damaged, unfinished, imported, or named so that hosts would not take it; the
+            message lists all of these.
+    """
+    try:
+        inner = sorted(path.parent for path in folder.glob(f"*/{MANIFEST_NAME}"))
+        folders = [folder] if (folder / MANIFEST_NAME).exists() or not inner else inner
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
+    sets, faults = [], []
+    for path in folders:
+        try:
+            found = PublishedSet(path.resolve().name, path, read_manifest(path))
+        except DataError as error:
+            faults.append(str(error))
+            continue
+        sets.append(found)
+        faults += [f"{path}: {fault}" for fault in _faults_of(found)]
+    if faults:
+        raise DataError("nothing was published:\n" + "\n".join(f"  - {fault}" for fault in faults))
+    return tuple(sets)
+
+
+def _faults_of(found: PublishedSet) -> list[str]:
+    faults = []
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", found.name):
+        faults.append(f"hosts want letters, digits, '_' and '-', found the folder's name {found.name!r}; rename it")
+    if found.name == GROUPS_CONFIG:
+        faults.append(f"{GROUPS_CONFIG!r} is the name of something else in a bundle; rename the folder")
+    if found.manifest.is_imported:
+        faults.append("was imported from elsewhere, under its own licence; pass on its source instead")
+    if not found.manifest.is_finished:
+        missing = sum(not entry.is_finished for entry in found.manifest.shards)
+        faults.append(f"is not finished: {missing} shards are missing; the same render command makes them")
+    return faults

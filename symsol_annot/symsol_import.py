@@ -1,0 +1,370 @@
+"""The original SYMSOL as sets of this package: its images and rotations, its symmetry sets where it has them.
+
+The source lists m rotations an image and says nothing of their convention, of camera or marking. Its sets are taken as
+R g with g of one group; that is checked for every image, and the group's duplicates are removed.
+"""
+
+import hashlib
+import shutil
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import metadata
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from symsol_annot import __version__
+from symsol_annot.errors import DataError, DifferentSetError, SettingsError
+from symsol_annot.files import file_sha256, held_folder, output_errors, write_atomically
+from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.plan import division_into_shards
+from symsol_annot.shards import ShardFile, ShardHeader, ShardWriter, storage_versions
+from symsol_annot.so3 import Rotations, angle_between, rotation_deviation
+from symsol_annot.symsol_zip import SymsolZip
+
+SAME_RAD = 1e-4  # the source's float32 is off by 1e-6; neighbours on its circles are 0.0175 apart
+MAX_OFF_SO3 = 1e-4
+_IMAGES_FOR_GROUP = 64
+
+OnImages: TypeAlias = Callable[[int], object]
+
+
+@dataclass(frozen=True, eq=False)
+class ListedGroup:
+    """How an object's lists of rotations are to be read.
+
+    Attributes:
+        group: (G, 3, 3) symmetries, identity first, each of them once; the identity alone where no sets are given.
+        element: (m,) which of them each listed rotation belongs to.
+        is_transposed: whether the source's matrices are to be transposed, so that symmetries act on the right.
+    """
+
+    group: Rotations
+    element: npt.NDArray[np.intp]
+    is_transposed: bool
+
+    @property
+    def duplicates(self) -> int:
+        """How many rotations of a list are another one of it again."""
+        return len(self.element) - len(self.group)
+
+
+@dataclass(frozen=True)
+class ImportedSet:
+    """What became of one object.
+
+    Attributes:
+        folder: of its set.
+        manifest: of the set.
+        members: |G|, the size of each symmetry set; None where the source gives none.
+        off_so3: how far the source's rotations are from rotations at most; the nearest ones are stored.
+        off_sets_rad: how far a listed rotation is from the member R g that stands for it, at most, in rad.
+        was_there: whether the folder held it already, so that nothing was read or written.
+    """
+
+    folder: Path
+    manifest: Manifest
+    members: int | None
+    off_so3: float = np.nan
+    off_sets_rad: float = np.nan
+    was_there: bool = False
+
+
+def import_symsol(
+    path: Path,
+    out: Path,
+    objects: Iterable[str] = (),
+    *,
+    workers: int = 1,
+    on_begin: Callable[[Manifest], object] = lambda _: None,
+    on_images: OnImages = lambda _: None,
+) -> Iterator[ImportedSet]:
+    """Import objects of the original SYMSOL one after the other; each appears in the folder once it is whole.
+
+    Objects that are there already, from the same zip, are left as they are. The bytes do not depend on `workers`.
+
+    Args:
+        path: the zip.
+        out: the folder of sets; nothing outside it is written.
+        objects: which; all in the zip where none is named.
+        workers: how many threads decode and compress.
+        on_begin: told of each set before it is made.
+        on_images: told how many more images are imported.
+
+    Raises:
+        DataError: the zip is damaged or not SYMSOL's; nothing is left of the object in question.
+        DifferentSetError: the folder holds another set under an object's name.
+        SettingsError: an object is not in the zip.
+        OutputError: the folder cannot be written to.
+    """
+    with SymsolZip(path) as source, held_folder(out):
+        wanted = tuple(dict.fromkeys(objects)) or source.objects
+        missing = [name for name in wanted if name not in source.objects]
+        if missing:
+            raise SettingsError(f"{path}: has no {', '.join(missing)}; it has {', '.join(source.objects)}")
+        sha256 = file_sha256(path)
+        for name in wanted:
+            importer = _Importer(source, name, sha256)
+            folder, manifest = out / name, importer.manifest
+            members = len(importer.listed.group) if manifest.recipe["annotate"] != "none" else None
+            if _is_there(folder, manifest):
+                yield ImportedSet(folder, read_manifest(folder), members, was_there=True)
+                continue
+            on_begin(manifest)
+            with _whole_or_not_at_all(folder) as partial:
+                made = importer.write(partial, workers, on_images)
+            yield ImportedSet(folder, made, members, importer.off_so3, importer.off_sets_rad)
+
+
+def listed_group(listed: Rotations, what: str) -> ListedGroup:
+    """Find the group whose elements take the first rotation of every image to the others.
+
+    Args:
+        listed: (n, m, 3, 3) the rotations of some images, as the source has them.
+        what: how an error message names them.
+
+    Raises:
+        DataError: there is no such group.
+    """
+    for is_transposed in (False, True):
+        relative = _relative(listed, is_transposed=is_transposed)
+        if angle_between(relative, relative[:1]).max() <= SAME_RAD:
+            break
+    else:
+        raise DataError(
+            f"{what}: the lists of the first {len(listed)} images are not R g, nor g R, with g of one group"
+        )
+    mean = nearest_rotations(relative.mean(axis=0))
+    first_same = np.argmax(angle_between(mean[:, None], mean[None]) <= SAME_RAD, axis=1)
+    is_first = first_same == np.arange(len(mean))
+    group = mean[is_first]
+    group[0] = np.eye(3)
+    products = (group[:, None] @ group[None]).reshape(-1, 9)
+    if cKDTree(group.reshape(-1, 9)).query(products)[0].max() > SAME_RAD:
+        raise DataError(f"{what}: the {len(group)} different rotations of a list make no group: a product is not in it")
+    return ListedGroup(group, (np.cumsum(is_first) - 1)[first_same], is_transposed)
+
+
+def nearest_rotations(matrices: Rotations) -> Rotations:
+    """Return the rotations nearest to (..., 3, 3) matrices in the Frobenius norm."""
+    u, _, vt = np.linalg.svd(matrices)
+    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
+    nearest: Rotations = u @ vt
+    return nearest
+
+
+class _Importer:
+    """One object: its manifest, then its shards."""
+
+    def __init__(self, source: SymsolZip, name: str, sha256: str) -> None:
+        self._source, self._name = source, name
+        self.off_so3 = self.off_sets_rad = 0.0
+        self.listed = _listed_group_of(source, name)
+        annotate = _annotate(source, name)
+        height, width, _ = source.image(name, SPLITS[0], 0).shape
+        recipe = {
+            "object": name,
+            "object_sha256": None,
+            "seed": None,
+            "camera": {"distance": None, "focal_px": None, "width": width, "height": height},
+            "render": None,
+            "tolerance_px": None,
+            "annotate": annotate,
+            "source": {
+                "name": "SYMSOL",
+                "sha256": sha256,
+                "convention": "unknown",
+                "transposed": self.listed.is_transposed,
+                "rotations_listed": len(self.listed.element),
+                "duplicates_removed": self.listed.duplicates,
+            },
+        }
+        images = {split: source.header(name, split).images for split in SPLITS}
+        self.manifest = Manifest(recipe, division_into_shards(images, width * height))
+
+    def write(self, folder: Path, workers: int, on_images: OnImages) -> Manifest:
+        """Write all shards and the manifest, and return it."""
+        under_way: deque[tuple[ShardEntry, Future[ShardFile]]] = deque()
+        manifest = self.manifest
+        with ThreadPoolExecutor(workers, thread_name_prefix="import") as pool:
+            try:
+                for entry, R in self._rotations():
+                    under_way.append((entry, pool.submit(self._shard, entry, R)))
+                    if len(under_way) > workers:
+                        manifest = _keep(folder, manifest, *under_way.popleft(), on_images)
+                while under_way:
+                    manifest = _keep(folder, manifest, *under_way.popleft(), on_images)
+            finally:
+                pool.shutdown(cancel_futures=True)
+        write_manifest(folder, manifest)
+        return manifest
+
+    def _rotations(self) -> Iterator[tuple[ShardEntry, Rotations]]:
+        """Yield each shard with its images' own rotations (n, 3, 3), after checking their lists."""
+        for split in SPLITS:
+            with self._source.rotations(self._name, split) as table:
+                for entry in self.manifest.of_split(split):
+                    listed = table.read(entry.images)
+                    own = listed[:, 0]
+                    self._check_rotations(entry, own)
+                    if listed.shape[1] > 1:
+                        self._check_sets(entry, listed)
+                    own = np.swapaxes(own, -1, -2) if self.listed.is_transposed else own
+                    yield entry, nearest_rotations(own)
+
+    def _check_rotations(self, entry: ShardEntry, R: Rotations) -> None:
+        deviation = rotation_deviation(R)
+        bad = ~(deviation <= MAX_OFF_SO3)
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise DataError(
+                f"{self._what(entry.split)}: image {entry.first_index + row}: its rotation is none: off by "
+                f"{deviation[row]:.3g} (allowed {MAX_OFF_SO3:g})"
+            )
+        self.off_so3 = max(self.off_so3, float(deviation.max()))
+
+    def _check_sets(self, entry: ShardEntry, listed: Rotations) -> None:
+        """Compare each list with R g, element by element, and as a set where it comes in another order."""
+        relative = _relative(listed, is_transposed=self.listed.is_transposed)
+        off = angle_between(relative, self.listed.group[self.listed.element]).max(axis=1)
+        for row in np.flatnonzero(~(off <= SAME_RAD)):
+            off[row] = self._off_as_a_set(relative[row])
+        if not (off <= SAME_RAD).all():
+            row = int(np.argmax(~(off <= SAME_RAD)))
+            raise DataError(
+                f"{self._what(entry.split)}: image {entry.first_index + row}: its list is not R g with g of the "
+                f"{len(self.listed.group)} symmetries that the object's first images have"
+            )
+        self.off_sets_rad = max(self.off_sets_rad, float(off.max()))
+
+    def _off_as_a_set(self, relative: Rotations) -> float:
+        """Return how far (m, 3, 3) elements are from the group's, inf where they are not all of it."""
+        if not np.isfinite(relative).all():
+            return np.inf
+        group = self.listed.group
+        nearest = cKDTree(group.reshape(-1, 9)).query(relative.reshape(-1, 9))[1]
+        is_all = len(np.unique(nearest)) == len(group)
+        return float(angle_between(relative, group[nearest]).max()) if is_all else np.inf
+
+    def _shard(self, entry: ShardEntry, R: Rotations) -> ShardFile:
+        recipe, group = self.manifest.recipe, self.listed.group
+        is_annotated = self.manifest.is_annotated(entry.split)
+        header = ShardHeader(
+            object=self._name,
+            object_sha256=None,
+            split=entry.split,
+            first_index=entry.first_index,
+            seed=None,
+            camera=recipe["camera"],
+            render=None,
+            tolerance_px=None,
+            versions=_versions(),
+            source=recipe["source"],
+        )
+        mask = np.ones(len(group), dtype=bool) if is_annotated else None
+        writer = ShardWriter(header, entry.images, group, annotated=is_annotated)
+        try:
+            for row in range(entry.images):
+                writer.add_imported(self._image(entry, row), R[row], mask)
+            return writer.finish({})
+        finally:
+            writer.close()
+
+    def _image(self, entry: ShardEntry, row: int) -> npt.NDArray[np.uint8]:
+        index, camera = entry.first_index + row, self.manifest.recipe["camera"]
+        image = self._source.image(self._name, entry.split, index)
+        expected = (camera["height"], camera["width"], 3)
+        if image.shape != expected:
+            name = f"{entry.split}/images/{self._name}_{index:05d}.png"
+            raise DataError(f"{self._source.path}: {name}: is of shape {image.shape}, the object's first of {expected}")
+        return image
+
+    def _what(self, split: str) -> str:
+        return f"{self._source.path}: {split}/rotations.npz: {self._name}"
+
+
+def _listed_group_of(source: SymsolZip, name: str) -> ListedGroup:
+    """Return an object's group. Where it lists one rotation an image, only whether to transpose, as others tell."""
+    split = next((split for split in reversed(SPLITS) if source.header(name, split).listed > 1), None)
+    if split is not None:
+        with source.rotations(name, split) as table:
+            listed = table.read(min(table.header.images, _IMAGES_FOR_GROUP))
+        return listed_group(listed, f"{source.path}: {split}/rotations.npz: {name}")
+    others = (other for other in source.objects if any(source.header(other, s).listed > 1 for s in SPLITS))
+    other = next(others, None)
+    is_transposed = other is not None and _listed_group_of(source, other).is_transposed
+    return ListedGroup(np.eye(3)[None], np.zeros(1, dtype=np.intp), is_transposed)
+
+
+def _annotate(source: SymsolZip, name: str) -> str:
+    """Return which splits have symmetry sets, as a manifest says it: where several rotations are listed."""
+    listed = {split: source.header(name, split).listed for split in SPLITS}
+    if len(set(listed.values())) == 1:
+        return "all" if listed["test"] > 1 else "none"
+    if listed["train"] == 1:
+        return "test"
+    found = ", ".join(f"{number} in {split}" for split, number in listed.items())
+    raise DataError(f"{source.path}: {name}: expected as many rotations an image in both splits, found {found}")
+
+
+def _relative(listed: Rotations, *, is_transposed: bool) -> Rotations:
+    """Return R_0^-1 R_j (n, m, 3, 3) of lists of rotations R_j, transposed first or not."""
+    R = np.swapaxes(listed, -1, -2) if is_transposed else listed
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is found to be no member
+        relative: Rotations = np.swapaxes(R[:, :1], -1, -2) @ R
+    return relative
+
+
+def _keep(
+    folder: Path, manifest: Manifest, entry: ShardEntry, made: "Future[ShardFile]", on_images: OnImages
+) -> Manifest:
+    """Write a shard; return the manifest with it."""
+    file = made.result()
+    write_atomically(folder / entry.file, file.data)
+    on_images(entry.images)
+    sha256 = hashlib.sha256(file.data).hexdigest()
+    return manifest.with_finished(
+        replace(entry, bytes=len(file.data), sha256=sha256, content_sha256=file.content_sha256)
+    )
+
+
+def _is_there(folder: Path, planned: Manifest) -> bool:
+    """Tell whether a folder holds a set already; refuse another one, or anything else."""
+    if (folder / MANIFEST_NAME).exists():
+        differences = planned.differences(read_manifest(folder))
+        if differences:
+            raise DifferentSetError(str(folder), differences)
+        return True
+    with output_errors(folder):
+        if folder.exists() and any(folder.iterdir()):
+            raise DifferentSetError(str(folder), [f"it holds files, and no {MANIFEST_NAME}"])
+    return False
+
+
+@contextmanager
+def _whole_or_not_at_all(folder: Path) -> Iterator[Path]:
+    """Give a hidden folder beside another's name, which it gets if all goes well; else it is removed."""
+    partial = folder.with_name(f".{folder.name}.partial")
+    with output_errors(partial):
+        if partial.exists():  # a killed run left it
+            shutil.rmtree(partial)
+        partial.mkdir()
+    try:
+        yield partial
+        with output_errors(folder):
+            if folder.exists():  # and empty
+                folder.rmdir()
+            partial.rename(folder)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def _versions() -> dict[str, str]:
+    return {"symsol-annot": __version__, **storage_versions(), "pillow": metadata.version("pillow")}

@@ -1,0 +1,231 @@
+"""The leaderboard shows what the files of results say, and refuses files that nobody could check."""
+
+import json
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_sets import small_set
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+from symsol_annot_cli.leaderboard import leaderboard
+
+from symsol_annot.bench import report
+from symsol_annot.bench.leaderboard import read_leaderboard
+from symsol_annot.bench.leaderboard_page import to_markdown
+from symsol_annot.bench.scores_file import figures_that_differ
+from symsol_annot.bench.scoring import score_file
+from symsol_annot.bench.submission import write_classifier, write_hypotheses
+from symsol_annot.errors import ScoresError
+
+ROOT = Path(__file__).resolve().parent.parent
+FILES = ROOT / "docs" / "results" / "leaderboard"
+IMAGES = 24
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory):
+    return small_set(tmp_path_factory.mktemp("sets"), "tetX", IMAGES)
+
+
+@pytest.fixture(scope="module")
+def original(images, tmp_path_factory):
+    """A folder with one set and two results on it, the second with larger errors and a classifier's track as well."""
+    folder = tmp_path_factory.mktemp("board")
+    shutil.copy(FILES / "thesis.toml", folder)
+    place = folder / "tiny"
+    place.mkdir()
+    (place / "set.toml").write_text(
+        f'title = "Tiny"\nsplit = "test"\nimages = {IMAGES}\ncommands = ["symsol-annot render --object tetX"]\n'
+        f'[fingerprints]\ntetX = "{images.fingerprint}"\n'
+    )
+    for name, error_rad in {"near": 0.01, "far": 0.3}.items():
+        path = folder / f"{name}.h5"
+        turn = Rotation.from_rotvec([error_rad, 0, 0]).as_matrix()
+        write_hypotheses(path, images, (images.labels().rotation @ turn)[:, None], method=name)
+        if name == "far":
+            write_classifier(path, images, lambda _, R: 0.9 * (R[:, 0, 0] > 0.5), method=name, level=4, progress=False)
+        scores = score_file(path, images.folder)
+        (place / f"{name}.json").write_text(report.to_json(report.to_document([scores], [path])))
+        path.unlink()
+        (place / f"{name}.toml").write_text(
+            f'title = "The {name} one"\nby = "a lab"\ndate = 2026-01-02\nhardware = "an abacus"\n'
+            f'commands = ["./{name}.sh"]\nrecipe = "{"ewta-von-mises" if name == "near" else "small-wta"}"\n'
+            "[objects.tetX]\nseed = 7\nminutes = 3.25\n"
+        )
+    return folder
+
+
+@pytest.fixture
+def folder(original, tmp_path):
+    return Path(shutil.copytree(original, tmp_path / "board"))
+
+
+def page_of(folder):
+    return to_markdown(read_leaderboard(folder), str(folder), "files", "page.md")
+
+
+def tables_of(page):
+    """Title of each heading to the rows below it, cells stripped."""
+    tables = {}
+    for part in re.split(r"^#+ ", page, flags=re.MULTILINE)[1:]:
+        rows = [
+            [cell.strip() for cell in line.strip("|").split(" | ")] for line in part.splitlines() if line[:1] == "|"
+        ]
+        tables[part.splitlines()[0]] = rows
+    return tables
+
+
+def edited(path, *keys, value):
+    """Change one value of a JSON file."""
+    document = json.loads(path.read_text())
+    table = document
+    for key in keys[:-1]:
+        table = table[key]
+    table[keys[-1]] = value
+    path.write_text(json.dumps(document))
+
+
+def test_the_page_of_the_repository_is_what_its_files_give(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    done = CliRunner().invoke(leaderboard, ["docs/results/leaderboard", "--out", "docs/leaderboard.md", "--check"])
+    assert done.exit_code == 0, done.exception
+
+
+def test_rows_hold_the_figures_of_the_scores_the_best_first(folder):
+    rows = tables_of(page_of(folder))["tetX, hypotheses"]
+    assert [row[0] for row in rows[2:]] == ["The near one", "The far one"]
+    scores = json.loads((folder / "tiny" / "far.json").read_text())["objects"]["tetX"]["hypotheses"]["all"]
+    column = rows[0].index("precision mean error, rad (5.9) ↓")
+    assert rows[3][column].startswith(f"{scores['precision_mean_error_rad']['value']:.4f} [")
+    assert rows[3][-1] == "[far](files/tiny/far.json)"
+
+
+def test_a_row_of_the_thesis_has_what_was_run_below_it_or_says_that_nothing_was(folder):
+    page = page_of(folder)
+    table = tables_of(page)["Table 5.2, precision: mean error, rad"]
+    thesis = tomllib.loads((FILES / "thesis.toml").read_text())["tables"]["Table 5.2, precision: mean error, rad"]
+    assert [row[0].strip("`") for row in table[2:] if row[1] == "thesis"] == list(thesis["rows"])
+    for recipe, values in thesis["rows"].items():
+        row = next(row for row in table if row[0] == f"`{recipe}`")
+        assert row[2:] == ["" if np.isnan(value) else f"{value:.3f}" for value in values]
+    here = {table[i - 1][0]: row for i, row in enumerate(table) if row[1] == "here, tiny"}
+    assert here["`ewta-von-mises`"] == ["`ewta-von-mises`", "here, tiny", "", "", "", "", "", "**0.010**", ""]
+    assert here["`wta-von-mises`"][:2] == ["`small-wta`", "here, tiny"]  # which stands for it
+    assert "Not run here: `wta-cosine`, `rwta-cosine`, `rwta-von-mises`, `ewta-cosine`.\n" in page
+
+
+def test_how_a_result_was_made_stands_on_the_page(folder):
+    page = page_of(folder)
+    sha256 = json.loads((folder / "tiny" / "far.json").read_text())["objects"]["tetX"]["predictions"]["sha256"]
+    assert tables_of(page)["tiny/far"][2] == ["tetX", "7", "3.2", "", "", f"`{sha256}`"]
+    assert "./far.sh" in page
+    assert "an abacus" in page
+
+
+def test_a_strangers_words_are_text(folder):
+    file = folder / "tiny" / "near.toml"
+    file.write_text(file.read_text().replace("The near one", "a | b <script>x</script> [y](z)\\n# h"))
+    page = page_of(folder)
+    assert "<script>" not in page
+    assert "[y](z)" not in page
+    assert "\n# h" not in page
+    row = next(line for line in page.splitlines() if "script" in line and line.startswith("|"))
+    assert len(re.split(r"(?<!\\)\|", row)) == 2 + len(tables_of(page)["tetX, hypotheses"][0])
+
+
+def change_of(file, before, after):
+    def change(place):
+        text = (place / file).read_text()
+        assert before in text
+        (place / file).write_text(text.replace(before, after))
+
+    return change
+
+
+def scores_with(*keys, value):
+    return lambda place: edited(place / "far.json", *keys, value=value)
+
+
+RECALL = ("objects", "tetX", "hypotheses", "all", "recall_mean_error_rad")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (scores_with(*RECALL, "value", value=0.001), "all.recall_mean_error_rad.value: says 0.001, its images give"),
+        (scores_with(*RECALL, "low", value=None), "all.recall_mean_error_rad.low: says None, its images give"),
+        (
+            scores_with("objects", "tetX", "hypotheses", "shown", "accuracy_at_5_deg", "value", value=1),
+            "shown.accuracy",
+        ),
+        (scores_with("ranks", value=False), "'ranks' is not true"),
+        (
+            scores_with("objects", "tetX", "classifier", "warnings", value=["w"]),
+            "tetX.classifier.warnings: does not rank",
+        ),
+        (scores_with("objects", "tetX", "fingerprint", value="0" * 64), "fingerprint: expected"),
+        (scores_with("objects", "tetX", "split", value="train"), "split: expected test, found 'train'"),
+        (scores_with("objects", "tetX", "predictions", value={"sha256": "?"}), "predictions.sha256: is no SHA-256"),
+        (scores_with("format", value="x"), "is no scores file"),
+        (lambda place: (place / "far.json").unlink(), "far.json: cannot be read"),
+        (lambda place: (place / "far.toml").unlink(), "far.toml: cannot be read"),
+        (lambda place: (place / "set.toml").unlink(), "set.toml: cannot be read"),
+        (lambda place: (place / "far.json").write_text("{"), "is no JSON"),
+        (lambda place: shutil.copy(place / "near.json", place / "far.json"), "are those of tiny/far"),
+        (change_of("far.toml", "seed = 7", ""), "far.toml: objects.tetX.seed: is missing"),
+        (change_of("far.toml", "seed = 7", "seed = 7.5"), "objects.tetX.seed: expected a whole number, found 7.5"),
+        (
+            change_of("far.toml", "objects.tetX", "objects.cube"),
+            "objects: expected those of the scores, tetX, found cube",
+        ),
+        (change_of("far.toml", "2026-01-02", '"today"'), "date: expected a date, found 'today'"),
+        (change_of("far.toml", '"./far.sh"', ""), "commands, code: one of them has to say"),
+        (change_of("far.toml", '"small-wta"', '"mine"'), "recipe: there is no 'mine' built in"),
+        (change_of("far.toml", '"a lab"', '" "'), "by: is empty"),
+        (change_of("far.toml", "by =", "from ="), "from: is no key of a result; keys are title, by"),
+        (change_of("far.toml", "by =", "by"), "far.toml: cannot be read"),
+        (change_of("set.toml", f"images = {IMAGES}", "images = 1"), f"images: expected 1, found {IMAGES}"),
+        (change_of("set.toml", "tetX =", "cube ="), "fingerprint: expected None"),
+    ],
+)
+def test_files_that_nobody_could_check_are_refused(change, said, folder):
+    change(folder / "tiny")
+    with pytest.raises(ScoresError, match=re.escape(said)):
+        read_leaderboard(folder)
+
+
+def test_all_faults_are_told_at_once(folder):
+    (folder / "tiny" / "far.toml").unlink()
+    edited(folder / "tiny" / "near.json", "ranks", value=False)
+    with pytest.raises(ScoresError, match=r"the leaderboard has 2 faults:\n(.*\n)*.*'ranks' is not true"):
+        read_leaderboard(folder)
+
+
+def test_no_figure_differs_in_what_score_wrote(folder):
+    for name in ("near", "far"):
+        document = json.loads((folder / "tiny" / f"{name}.json").read_text())
+        assert list(figures_that_differ(document["objects"]["tetX"])) == []
+
+
+def test_check_writes_nothing_and_fails_where_the_page_is_old(folder, tmp_path):
+    page = tmp_path / "page.md"
+    run = CliRunner()
+    assert isinstance(run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"]).exception, ScoresError)
+    assert not page.exists()
+    assert run.invoke(leaderboard, [str(folder), "--out", str(page)]).exit_code == 0
+    before = page.read_bytes()
+    assert run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"]).exit_code == 0
+    (folder / "tiny" / "far.toml").unlink()
+    (folder / "tiny" / "far.json").unlink()
+    refused = run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"])
+    assert "is not what" in str(refused.exception)
+    assert page.read_bytes() == before
+
+
+def test_a_folder_without_the_thesis_is_no_leaderboard(tmp_path):
+    with pytest.raises(ScoresError, match=r"is no leaderboard's folder: it has no thesis\.toml"):
+        read_leaderboard(tmp_path)
