@@ -69,7 +69,8 @@ def main():
     if options.only in (None, "score"):
         for recipe in recipes:
             for name in OBJECTS:
-                run(predict_command(recipe, name))
+                if not (options.folder / f"{name}-{recipe}.h5").exists():
+                    run(predict_command(recipe, name))
             run(score_command(recipe))
             (PLACE / f"{recipe}.json").write_bytes((options.folder / f"{recipe}.json").read_bytes())
             (PLACE / f"{recipe}.toml").write_text(result(recipe, options.folder))
