@@ -1,5 +1,6 @@
 """Who makes the shards: makers that are kept, replaced, ended in time, and make the same bytes as any other."""
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -190,6 +191,15 @@ def test_a_process_that_outgrows_its_memory_is_ended_and_says_so(opened):
         process.make(ENTRY, lambda _: None)
 
 
+def is_armed(pid):
+    """Tell whether the kernel has been asked to end a process with its parent: one of its files is asynchronous."""
+    try:
+        flags = [path.read_text().split()[3] for path in Path(f"/proc/{pid}/fdinfo").iterdir()]
+    except OSError:  # one was closed meanwhile
+        return False
+    return any(int(of_file, 8) & fcntl.FASYNC for of_file in flags)
+
+
 @pytest.mark.blender
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a stopped process outlives its parent until it goes on")
 def test_a_process_dies_with_its_parent_even_if_it_is_stopped(tmp_path):
@@ -197,7 +207,7 @@ def test_a_process_dies_with_its_parent_even_if_it_is_stopped(tmp_path):
     environment = {**os.environ, "PYTHONPATH": path, "TMPDIR": str(tmp_path)}
     with subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True, env=environment) as parent:
         pid = int(parent.stdout.readline().rpartition("/")[2])
-        time.sleep(1.0)
+        assert comes_true(lambda: is_armed(pid), within_s=60.0)
         os.kill(pid, signal.SIGSTOP)
         assert is_running(pid)
         parent.kill()

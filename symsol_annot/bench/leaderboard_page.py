@@ -138,7 +138,7 @@ def _runs(board: Leaderboard, link: str) -> Iterator[str]:
             facts = [f"{_text(run.title)}, by {_text(run.by)}, {run.date}", _text(run.hardware)]
             facts += [f"recipe `{run.recipe}`"] if run.recipe else []
             facts += [_text(run.code)] if run.code else []
-            facts += [_text(run.notes)] if run.notes else []
+            facts += [_text(run.notes).rstrip(".")] if run.notes else []
             yield f"{'. '.join(facts)}. [{result.name}.toml]({link}/{folder}/{result.name}.toml)"
             if run.commands:
                 yield _commands(run.commands)

@@ -114,7 +114,7 @@ class ClassifierLearner:
         """Return the means over images of recall, precision and F-measure at 0.8 (section 7.2).
 
         False positives are counted on the grid of the recipe's level; of a coarser one than level 4 each stands for
-        as many rotations of level 4 as there are to one of its own, so that figures estimate those of `score`.
+        as many rotations of level 4 as there are to one of its own, a rough estimate of what `score` counts.
         """
         level = self.recipe.evaluation_level
         scale = 8 ** max(0, STANDARD_LEVEL - level)
