@@ -27,7 +27,8 @@ def main():
         lines += ["", "| Python | extra | installed, MB | import, ms | |", "|---|---|---|---|---|"]
         for version in _PYTHONS:
             python = interpreter(version)
-            for extra in (None, *EXTRAS):
+            extras = [extra for extra in EXTRAS if extra != "render" or version == _RENDERING_PYTHON]
+            for extra in (None, *extras):
                 lines.append(
                     f"| {version} | {extra or 'none'} | {outcome(Path(workplace), files[-1], python, extra)} |"
                 )
