@@ -25,6 +25,7 @@ from symsol_annot.bench.devices import choose_device, has_bfloat16, laid_out_for
 from symsol_annot.bench.learners import learner_of
 from symsol_annot.bench.recipe import load_recipe
 from symsol_annot.bench.schedules import moment_at
+from symsol_annot.bench.training_data import Batch
 from symsol_annot.dataset import load
 
 
@@ -85,11 +86,11 @@ class _Training:
         return _rate(self._step, seconds, self._device)
 
     def _step(self, number):
-        images, R_gt = next(self._batches)
-        loss = self._run._step_or_say_what_fits(images, R_gt, self._run._moment(self._run.about.epochs / 2), self._rng)
+        batch = next(self._batches)
+        loss = self._run._step_or_say_what_fits(batch, self._run._moment(self._run.about.epochs / 2), self._rng)
         if number % training._STEPS_BETWEEN_CHECKS == 0:
             self._run._refuse_nan(float(loss), 0)
-        return len(images)
+        return len(batch.images)
 
 
 class _Bare:
@@ -98,24 +99,24 @@ class _Bare:
     def __init__(self, recipe, images, device):
         camera = images.manifest.recipe["camera"]
         model = laid_out_for(device, checkpoints.new_model(recipe, None, 0))
-        self._learner = learner_of(recipe, model)
+        self._learner = learner_of(recipe, model, images.symmetry_group)
         self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.rates[0], fused=True)
         self._rng, self._device = torch.Generator(device).manual_seed(0), device
         self._moment = moment_at(recipe, recipe.epochs / 2)
         shape = (recipe.batch, camera["height"], camera["width"], 3)
-        self._images = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
-        self._R_gt = torch.eye(3, device=device).expand(recipe.batch, 3, 3)
+        pixels = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
+        self._batch = Batch(pixels, torch.eye(3, device=device).expand(recipe.batch, 3, 3))
 
     def rate(self, seconds):
         self._learner.model.train()
         return _rate(self._step, seconds, self._device)
 
     def _step(self, _):
-        loss = self._learner.losses(self._images, self._R_gt, self._moment, self._rng).mean()
+        loss = self._learner.losses(self._batch, self._moment, self._rng).mean()
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
         self._optimizer.step()
-        return len(self._images)
+        return len(self._batch.images)
 
 
 def _rate(step, seconds, device):

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -129,14 +130,33 @@ def test_the_future_work_has_recipes_in_which_one_thing_is_new():
 
 def test_the_small_tier_starts_at_random_and_says_so():
     names = [name for name in builtin_recipes() if name.startswith("small-")]
-    assert len(names) == 6
+    assert len(names) == 11
     for name in names:
         small = recipe(name, "cylO")
         assert "random start" in small.title
-        assert small.start == (
-            "best-recall" if name in ("small-classifier", "small-classifier-no-encoding") else "random"
-        )
-    assert recipe("small-classifier-no-encoding").frequencies == 0
+        is_pretrained = name.startswith("small-classifier") and "no-pretraining" not in name
+        assert small.start == ("best-recall" if is_pretrained else "random")
+
+
+@pytest.mark.parametrize(
+    ("name", "differs"),
+    [
+        ("no-encoding", {"frequencies": 0}),
+        ("k1024", {"negatives": 1024}),
+        ("f5", {"frequencies": 5}),
+        ("hard-negatives", {"hard_negatives": 64}),
+        ("longer", {"epochs": 12, "rates_drop_after": (8, 10)}),
+        ("no-pretraining", {"start": "random", "frozen_epochs": 0}),
+        (
+            "no-pretraining-slow",
+            {"start": "random", "frozen_epochs": 0, "rates": (1e-4, 1e-5), "rates_drop_after": (5,)},
+        ),
+    ],
+)
+def test_small_variants_of_the_classifier_have_one_thing_new(name, differs):
+    variant, plain = recipe(f"small-classifier-{name}"), recipe("small-classifier")
+    assert variant == replace(plain, title=variant.title, **differs)
+    assert variant.title != plain.title
 
 
 def test_no_built_in_recipe_is_without_a_test_and_each_has_a_title_of_its_own():

@@ -19,17 +19,16 @@ from symsol_annot.bench import checkpoints, training, training_data
 from symsol_annot.bench.checkpoints import best_epoch, open_checkpoint, read_about
 from symsol_annot.bench.devices import largest_that_fits
 from symsol_annot.bench.inference import predict
-from symsol_annot.bench.learners import HypothesisLearner, random_rotations
+from symsol_annot.bench.learners import HypothesisLearner
 from symsol_annot.bench.pretraining import best_network, trained_networks
 from symsol_annot.bench.recipe import ClassifierRecipe, HypothesisRecipe
 from symsol_annot.bench.scoring import score_file
 from symsol_annot.bench.training import Options, train
-from symsol_annot.bench.training_data import InMemory, Streamed
+from symsol_annot.bench.training_data import InMemory, Streamed, decoded
 from symsol_annot.bench.weights import read_weights
 from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, NotAnnotatedError, SettingsError, TrainingError, WeightsError
 from symsol_annot.generate import generate
-from symsol_annot.so3 import rotation_deviation
 
 torch.set_num_threads(1)
 
@@ -238,23 +237,23 @@ def test_another_seed_is_another_training(trained, images):
 
 
 def test_an_epoch_has_each_image_once_in_an_order_of_its_own(images):
-    held = InMemory(images, 5, 3, torch.device("cpu"), on_device=True)
-    epochs = [torch.cat([R for _, R in held.batches(epoch)]) for epoch in (0, 1, 0)]
+    held = InMemory(decoded(images), 5, 3, torch.device("cpu"), on_device=True)
+    epochs = [torch.cat([batch.R_gt for batch in held.batches(epoch)]) for epoch in (0, 1, 0)]
     assert all(len(torch.unique(R, dim=0)) == len(R) == 20 for R in epochs)
     assert torch.equal(epochs[0], epochs[2])
     assert not torch.equal(epochs[0], epochs[1])
-    for pictures, R_gt in held.batches(0):
-        for picture, R in zip(pictures, R_gt, strict=True):
+    for batch in held.batches(0):
+        for picture, R in zip(batch.images, batch.R_gt, strict=True):
             (row,) = [s for s in images if np.allclose(s.rotation, R, atol=1e-6)]
             assert np.array_equal(row.image, picture)
 
 
 def test_images_that_are_fewer_than_a_batch_are_left_out_of_an_epoch(images):
-    held = InMemory(images, 8, 0, torch.device("cpu"), on_device=True)
-    assert [len(R) for _, R in held.batches(0)] == [8, 8]
+    held = InMemory(decoded(images), 8, 0, torch.device("cpu"), on_device=True)
+    assert [len(batch.R_gt) for batch in held.batches(0)] == [8, 8]
     assert held.batches_an_epoch() == 2
-    small = InMemory(images[:6], 8, 0, torch.device("cpu"), on_device=True)
-    assert [len(R) for _, R in small.batches(0)] == [6]
+    small = InMemory(decoded(images[:6]), 8, 0, torch.device("cpu"), on_device=True)
+    assert [len(batch.R_gt) for batch in small.batches(0)] == [6]
 
 
 def test_workers_read_the_same_images_where_memory_is_too_small(images, monkeypatch):
@@ -264,16 +263,9 @@ def test_workers_read_the_same_images_where_memory_is_too_small(images, monkeypa
     assert isinstance(streamed, Streamed)
     batches = list(streamed.batches(0))
     assert len(batches) == streamed.batches_an_epoch() == 4
-    R_gt = torch.cat([R for _, R in batches])
+    R_gt = torch.cat([batch.R_gt for batch in batches])
     assert len(torch.unique(R_gt, dim=0)) == 20
-    assert batches[0][0].dtype == torch.uint8
-
-
-def test_random_rotations_are_rotations_all_over():
-    R = random_rotations((4000,), torch.Generator().manual_seed(0)).double().numpy()
-    assert rotation_deviation(R).max() < 1e-5
-    assert np.abs(R.mean(axis=0)).max() < 0.05
-    assert np.abs((R[:, :, :, None] * R[:, :, None, :]).mean(axis=(0, 1)) - np.eye(3) / 3).max() < 0.02
+    assert batches[0].images.dtype == torch.uint8
 
 
 # --- which network a classifier begins with ---
@@ -334,10 +326,10 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_epoch(images, t
 def test_a_gpu_that_is_too_small_says_the_batch_that_fits(images, tmp_path, monkeypatch):
     losses = HypothesisLearner.losses
 
-    def hungry(self, pictures, *rest):
-        if len(pictures) > 3:
+    def hungry(self, batch, *rest):
+        if len(batch.images) > 3:
             raise torch.cuda.OutOfMemoryError
-        return losses(self, pictures, *rest)
+        return losses(self, batch, *rest)
 
     monkeypatch.setattr(HypothesisLearner, "losses", hungry)
     with pytest.raises(

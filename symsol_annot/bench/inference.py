@@ -69,7 +69,7 @@ def _all_hypotheses(model: HypothesisNetwork, dataset: Dataset, *, progress: boo
     parts = []
     with tqdm(total=len(dataset), unit="image", disable=None if progress else True) as bar:
         for start in range(0, len(dataset), _BLOCK):
-            images, _ = decoded(dataset[start : start + _BLOCK])
+            images = decoded(dataset[start : start + _BLOCK]).images
             parts.append(_in_memory_that_is_there(partial(all_hypotheses, model, images)))
             bar.update(len(images))
     return np.concatenate(parts)

@@ -4,10 +4,8 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-import roma
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from symsol_annot.bench import metrics
 from symsol_annot.bench.devices import backbone_precision
@@ -22,10 +20,13 @@ from symsol_annot.bench.losses import (
     winner_takes_all,
 )
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
+from symsol_annot.bench.negatives import hard_negatives, random_rotations
 from symsol_annot.bench.recipe import ClassifierRecipe, HypothesisRecipe, Recipe
 from symsol_annot.bench.schedules import Moment
+from symsol_annot.bench.training_data import Batch
 from symsol_annot.dataset import Labels
 from symsol_annot.grid import STANDARD_LEVEL, equivolumetric_grid
+from symsol_annot.so3 import Rotations
 
 EVALUATED_AT_DEG = 5
 _IMAGES_AT_ONCE = 64
@@ -42,8 +43,8 @@ class Learner(Protocol):
     def model(self) -> HypothesisNetwork | RotationClassifier:
         """What is trained."""
 
-    def losses(self, images: Tensor, R_gt: Tensor, moment: Moment, rng: torch.Generator) -> Tensor:
-        """Return the losses (B,) of images (B, H, W, 3) drawn at R_gt (B, 3, 3)."""
+    def losses(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:
+        """Return the losses (B,) of a batch's images."""
 
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
         """Return figures of held-out images (N, H, W, 3), on any device; the model is left in eval mode."""
@@ -55,12 +56,12 @@ class HypothesisLearner:
     def __init__(self, recipe: HypothesisRecipe, model: HypothesisNetwork) -> None:
         self.recipe, self.model = recipe, model
 
-    def losses(self, images: Tensor, R_gt: Tensor, moment: Moment, rng: torch.Generator) -> Tensor:  # noqa: ARG002
+    def losses(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the meta losses (B,)."""
-        with backbone_precision(images.device):
-            embeddings = self.model.first_stage(images)
+        with backbone_precision(batch.images.device):
+            embeddings = self.model.first_stage(batch.images)
         hypotheses = self.model.from_embeddings(embeddings.float())  # in 32 bits: 0.1 degrees of 16 would show
-        embedded = self._embedded_losses(hypotheses, R_gt[:, None], moment)
+        embedded = self._embedded_losses(hypotheses, batch.R_gt[:, None], moment)
         match self.recipe.meta_loss:
             case "wta":
                 return winner_takes_all(embedded)
@@ -96,18 +97,27 @@ class HypothesisLearner:
 
 
 class ClassifierLearner:
-    """A classifier of rotations, from the one it was drawn at and K random ones an image."""
+    """A classifier of rotations, from the one it was drawn at and K wrong ones an image."""
 
-    def __init__(self, recipe: ClassifierRecipe, model: RotationClassifier) -> None:
-        self.recipe, self.model = recipe, model
+    def __init__(self, recipe: ClassifierRecipe, model: RotationClassifier, symmetry_group: Tensor) -> None:
+        self.recipe, self.model, self._symmetry_group = recipe, model, symmetry_group
 
-    def losses(self, images: Tensor, R_gt: Tensor, moment: Moment, rng: torch.Generator) -> Tensor:  # noqa: ARG002
+    def losses(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the losses (B,) of eq. 6.15, K new rotations an image."""
-        with backbone_precision(images.device):
-            embeddings = self.model.first_stage(images)
-        negatives = random_rotations((len(images), self.recipe.negatives), rng)
-        logits = self.model.logits(embeddings.float(), torch.cat([R_gt[:, None], negatives], dim=1))
+        with backbone_precision(batch.images.device):
+            embeddings = self.model.first_stage(batch.images)
+        asked = torch.cat([batch.R_gt[:, None], self._negatives(batch, rng)], dim=1)
+        logits = self.model.logits(embeddings.float(), asked)
         return classification_loss(logits[:, 0], logits[:, 1:])
+
+    def _negatives(self, batch: Batch, rng: torch.Generator) -> Tensor:
+        """Return K rotations an image (B, K, 3, 3), of which the recipe says how many are rejected candidates."""
+        hard = self.recipe.hard_negatives
+        negatives = random_rotations((len(batch.images), self.recipe.negatives - hard), rng)
+        if batch.is_rejected is None:
+            return negatives
+        rejected = hard_negatives(batch.R_gt, batch.is_rejected, self._symmetry_group, hard, rng)
+        return torch.cat([negatives, rejected], dim=1)
 
     @torch.no_grad()
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
@@ -142,20 +152,14 @@ class ClassifierLearner:
         return np.array([int(count)], dtype=np.int64)
 
 
-def learner_of(recipe: Recipe, model: HypothesisNetwork | RotationClassifier) -> Learner:
-    """Return what trains a model by its recipe."""
+def learner_of(recipe: Recipe, model: HypothesisNetwork | RotationClassifier, symmetry_group: Rotations) -> Learner:
+    """Return what trains a model by its recipe, on images of a body with a group (G, 3, 3)."""
     if isinstance(recipe, HypothesisRecipe) and isinstance(model, HypothesisNetwork):
         return HypothesisLearner(recipe, model)
     if isinstance(recipe, ClassifierRecipe) and isinstance(model, RotationClassifier):
-        return ClassifierLearner(recipe, model)
+        device = model.first_stage.channel_mean.device
+        return ClassifierLearner(recipe, model, torch.tensor(symmetry_group, dtype=torch.float32, device=device))
     raise TypeError(f"a {type(model).__name__} is not trained by a {type(recipe).__name__}")
-
-
-def random_rotations(shape: tuple[int, ...], rng: torch.Generator) -> Tensor:
-    """Draw rotations (*shape, 3, 3), float32, uniform on SO(3): of quaternions with a uniform direction."""
-    quaternions = torch.randn((*shape, 4), generator=rng, device=rng.device)
-    R: Tensor = roma.unitquat_to_rotmat(functional.normalize(quaternions, dim=-1))
-    return R
 
 
 @torch.no_grad()

@@ -126,7 +126,8 @@ class ClassifierRecipe(_Training):
     """How a RotationClassifier is trained (section 7.3).
 
     Attributes:
-        negatives: K, random rotations an image and step.
+        negatives: K, wrong rotations an image and step.
+        hard_negatives: how many of them are rejected candidates of the image, not random rotations; not in the thesis.
         frequencies: F of the positional encoding; 0 for none.
         frozen_epochs: for how many epochs the first stage stays as it began.
         start: of the first stage: that of the hypothesis network with the lowest error in recall or in precision, or
@@ -135,6 +136,7 @@ class ClassifierRecipe(_Training):
     """
 
     negatives: int
+    hard_negatives: int = 0
     frequencies: int = 3
     frozen_epochs: int = 4
     start: FirstStageStart = "best-recall"
@@ -146,6 +148,7 @@ class ClassifierRecipe(_Training):
         yield from _outside(
             self,
             negatives=(1, _MAX_NEGATIVES),
+            hard_negatives=(0, self.negatives),
             frequencies=(0, _MAX_FREQUENCIES),
             frozen_epochs=(0, self.epochs - 1),
             evaluation_level=(0, MAX_GRID_LEVEL),

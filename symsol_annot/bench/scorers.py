@@ -19,7 +19,7 @@ from symsol_annot.bench.tracks import (
     HypothesesBlock,
     HypothesesTrack,
 )
-from symsol_annot.bench.truth import Truth
+from symsol_annot.bench.truth import Truth, near_elements
 from symsol_annot.grid import STANDARD_LEVEL, GridIndex, grid_size
 from symsol_annot.so3 import Angles, Rotations
 
@@ -115,7 +115,7 @@ class ClassifierScorer:
         self._thresholds = np.array([t for t in SWEPT_THRESHOLDS if t >= track.floor])
         self._standard = int(np.searchsorted(self._thresholds, STANDARD_THRESHOLD))
         self._queries = Queries(truth.fingerprint, truth.labels.symmetry_group)
-        self._near = truth.near_elements(HARD_NEGATIVE_RAD)
+        self._near = near_elements(truth.labels.symmetry_group, HARD_NEGATIVE_RAD)
         self.facts: Facts = {"floor": track.floor, "threshold": STANDARD_THRESHOLD, "grid_level": self._level}
 
     @cached_property

@@ -18,7 +18,7 @@ from symsol_annot.bench.learners import learner_of
 from symsol_annot.bench.pretraining import best_network, trained_networks
 from symsol_annot.bench.recipe import ClassifierRecipe, Recipe
 from symsol_annot.bench.schedules import Moment, moment_at
-from symsol_annot.bench.training_data import decoded, generator, training_data
+from symsol_annot.bench.training_data import Batch, decoded, generator, training_data
 from symsol_annot.bench.training_plots import plot_curve
 from symsol_annot.dataset import Dataset, Labels
 from symsol_annot.errors import NotAnnotatedError, SettingsError, TrainingError
@@ -74,7 +74,7 @@ def train(
 
     Raises:
         SettingsError: held-out images that leave none, or a device that is not here.
-        NotAnnotatedError: held-out images without symmetry sets.
+        NotAnnotatedError: held-out images, or hard negatives, without symmetry sets.
         TrainingError: a loss that is not finite, a GPU's memory that is too small, or a folder of another training.
         WeightsError: first weights that cannot be had, or a damaged checkpoint.
         OutputError: a file that cannot be written.
@@ -105,7 +105,7 @@ class _Run:
         if first_file is not None:
             model.first_stage.load_hypothesis_network(first_file)
         self._model = laid_out_for(device, model)
-        self._learner = learner_of(recipe, model)
+        self._learner = learner_of(recipe, model, dataset.symmetry_group)
         self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.rates[0], fused=True)
         if is_begun:
             checkpoints.restore(out, model, self._optimizer)
@@ -116,7 +116,9 @@ class _Run:
         if options.is_compiled:
             model.first_stage.compile()
         learnt = len(dataset) - recipe.held_out
-        self._data = training_data(dataset[:learnt], recipe.batch, about.seed, device)
+        self._data = training_data(
+            dataset[:learnt], recipe.batch, about.seed, device, with_rejected=_needs_rejected(recipe)
+        )
         self._held_out = _held_out(dataset[learnt:]) if recipe.held_out else None
 
     @property
@@ -131,14 +133,14 @@ class _Run:
         start, processor_start, images_done = time.perf_counter(), time.process_time(), 0
         total = torch.zeros((), device=self._device)
         self._model.train()
-        for step, (images, R_gt) in enumerate(self._data.batches(epoch)):
+        for step, batch in enumerate(self._data.batches(epoch)):
             moment = self._moment(epoch + step / steps)
-            loss = self._step_or_say_what_fits(images, R_gt, moment, rng)
+            loss = self._step_or_say_what_fits(batch, moment, rng)
             total += loss
             if (step + 1) % _STEPS_BETWEEN_CHECKS == 0:
                 self._refuse_nan(float(total), epoch)
-            images_done += len(images)
-            on_images(len(images))
+            images_done += len(batch.images)
+            on_images(len(batch.images))
         self._refuse_nan(float(total), epoch)
         last = self._moment(epoch + (steps - 1) / steps)
         row = {"epoch": epoch + 1, "loss": float(total) / steps, **_as_row(self.about.recipe, last)}
@@ -161,29 +163,28 @@ class _Run:
         """Return what holds at an epoch of this run, which may have more or fewer than its recipe."""
         return moment_at(self.about.recipe, epoch * self.about.recipe.epochs / self.about.epochs)
 
-    def _step_or_say_what_fits(self, images: Tensor, R_gt: Tensor, moment: Moment, rng: torch.Generator) -> Tensor:
+    def _step_or_say_what_fits(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:
         try:
-            return self._step(images, R_gt, moment, rng)
+            return self._step(batch, moment, rng)
         except torch.cuda.OutOfMemoryError:
             pass  # what the step held is let go only outside of this block
         self._optimizer.zero_grad(set_to_none=True)
+        size = len(batch.images)
         fitting = largest_that_fits(
-            lambda batch: torch.autograd.backward(
-                self._learner.losses(images[:batch], R_gt[:batch], moment, rng).mean()
-            ),
-            len(images),
+            lambda count: torch.autograd.backward(self._learner.losses(batch.of(slice(count)), moment, rng).mean()),
+            size,
         )
         advice = f"{fitting} fit: set batch = {fitting} in a recipe of your own" if fitting else "not even one fits"
         raise TrainingError(
-            f"{self._device}: its memory is too small for a batch of {len(images)} images; {advice}, end what else "
+            f"{self._device}: its memory is too small for a batch of {size} images; {advice}, end what else "
             f"uses the GPU, or take --device cpu. {self._kept()}"
         )
 
-    def _step(self, images: Tensor, R_gt: Tensor, moment: Moment, rng: torch.Generator) -> Tensor:
+    def _step(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:
         _freeze(self._model.first_stage, is_frozen=moment.is_frozen)
         for group in self._optimizer.param_groups:
             group["lr"] = moment.rate
-        loss = self._learner.losses(images, R_gt, moment, rng).mean()
+        loss = self._learner.losses(batch, moment, rng).mean()
         self._optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         self._optimizer.step()
@@ -228,11 +229,23 @@ def _check(recipe: Recipe, dataset: Dataset) -> None:
             f"{dataset.folder}: its train split has {len(dataset)} images, of which the recipe holds out "
             f"{recipe.held_out}; 2 or more have to be left. --held-out N holds out fewer"
         )
-    if recipe.held_out and not dataset.is_annotated:
+    if dataset.is_annotated:
+        return
+    if recipe.held_out:
         raise NotAnnotatedError(
             f"{dataset.folder}: the train split was rendered without symmetry sets, so its held-out images cannot be "
             "scored. `symsol-annot render --annotate all` gives every split its sets; --held-out 0 trains unscored"
         )
+    if _needs_rejected(recipe):
+        raise NotAnnotatedError(
+            f"{dataset.folder}: the train split was rendered without symmetry sets, and the recipe's hard_negatives "
+            "are the candidates outside of them. `symsol-annot render --annotate all` gives every split its sets; "
+            "hard_negatives = 0 needs none"
+        )
+
+
+def _needs_rejected(recipe: Recipe) -> bool:
+    return isinstance(recipe, ClassifierRecipe) and recipe.hard_negatives > 0
 
 
 def _refuse_other(out: Path, about: About) -> None:
@@ -256,7 +269,7 @@ def _start_of(about: About, out: Path, options: Options) -> tuple[Path | None, s
 
 
 def _held_out(dataset: Dataset) -> tuple[Tensor, Labels]:
-    return decoded(dataset)[0], dataset.labels()
+    return decoded(dataset).images, dataset.labels()
 
 
 def _freeze(stage: FirstStage, *, is_frozen: bool) -> None:

@@ -5,9 +5,9 @@ stopped. An epoch's last images, if fewer than a batch, are left out: every step
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import torch
@@ -15,18 +15,47 @@ from torch import Tensor
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from symsol_annot.bench.devices import cores, free_bytes
+from symsol_annot.bench.negatives import rejected_candidates
 from symsol_annot.dataset import Dataset, Sample
 from symsol_annot.order import shuffled_order
-
-Batch: TypeAlias = tuple[Tensor, Tensor]
 
 _DEVICE_SHARE, _HOST_SHARE = 0.5, 0.6  # of free memory that images may take; a network needs the rest
 _MAX_WORKERS = 8
 _IMAGES_AT_ONCE = 64  # decoded by one thread in one go
 
 
+class Batch(NamedTuple):
+    """Images on a device, and what is known of them.
+
+    Attributes:
+        images: (B, H, W, 3) uint8.
+        R_gt: (B, 3, 3) float32.
+        is_rejected: (B, G) bool, which candidates R_gt g are hard negatives; None where nobody asked.
+    """
+
+    images: Tensor
+    R_gt: Tensor
+    is_rejected: Tensor | None = None
+
+    def of(self, rows: Tensor | slice) -> "Batch":
+        """Return some of its images."""
+        return self._each(lambda part: part[rows])
+
+    def to(self, device: torch.device) -> "Batch":
+        """Return it on a device; from pinned memory the copy goes on while the network is at work."""
+        return self._each(lambda part: part.to(device, non_blocking=True))
+
+    def pinned(self) -> "Batch":
+        """Return it in memory that a GPU reads by itself."""
+        return self._each(Tensor.pin_memory)
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> "Batch":
+        is_rejected = None if self.is_rejected is None else change(self.is_rejected)
+        return Batch(change(self.images), change(self.R_gt), is_rejected)
+
+
 class TrainingData(Protocol):
-    """Batches of images (B, H, W, 3) uint8 and rotations (B, 3, 3) float32, on a device.
+    """Batches on a device.
 
     Attributes:
         where: the images are, in words.
@@ -46,27 +75,23 @@ class TrainingData(Protocol):
 class InMemory:
     """All images decoded: in the device's memory, or in the host's, pinned for a GPU."""
 
-    def __init__(self, dataset: Dataset, batch: int, seed: int, device: torch.device, *, on_device: bool) -> None:
-        self.images, self.R_gt = decoded(dataset)
-        self.batch, self._seed, self._device = min(batch, len(dataset)), seed, device
+    def __init__(self, images: Batch, batch: int, seed: int, device: torch.device, *, on_device: bool) -> None:
+        self._all = images.to(device) if on_device else images
+        self.batch, self._seed, self._device = min(batch, len(images.images)), seed, device
         self._has_to_move = device.type != "cpu" and not on_device
-        if on_device:
-            self.images, self.R_gt = self.images.to(device), self.R_gt.to(device)
         self.where = "GPU memory" if on_device and device.type != "cpu" else "memory"
 
     def batches(self, epoch: int) -> Iterator[Batch]:
         """Return the batches of an epoch, shuffled over all images."""
-        order = torch.randperm(len(self.images), generator=generator("cpu", self._seed, epoch, "order"))
+        images = self._all.images
+        order = torch.randperm(len(images), generator=generator("cpu", self._seed, epoch, "order"))
         for rows in torch.split(order[: self.batches_an_epoch() * self.batch], self.batch):
-            there = rows.to(self.images.device)
-            images, R_gt = self.images[there], self.R_gt[there]
-            if self._has_to_move:  # from pinned memory the copy goes on while the network is at work
-                images, R_gt = (part.pin_memory().to(self._device, non_blocking=True) for part in (images, R_gt))
-            yield images, R_gt
+            batch = self._all.of(rows.to(images.device))
+            yield batch.pinned().to(self._device) if self._has_to_move else batch
 
     def batches_an_epoch(self) -> int:
         """Return how many batches an epoch has."""
-        return len(self.images) // self.batch
+        return len(self._all.images) // self.batch
 
 
 class Streamed:
@@ -74,8 +99,16 @@ class Streamed:
 
     where = "worker processes"
 
-    def __init__(self, dataset: Dataset, batch: int, seed: int, device: torch.device, workers: int) -> None:
-        self._dataset, self._seed, self._device = dataset, seed, device
+    def __init__(
+        self,
+        dataset: Dataset,
+        batch: int,
+        seed: int,
+        device: torch.device,
+        workers: int,
+        is_rejected: Tensor | None = None,
+    ) -> None:
+        self._dataset, self._seed, self._device, self._is_rejected = dataset, seed, device, is_rejected
         self._workers = max(1, min(workers, len(dataset) // batch))
         self.batch = min(batch, len(dataset))
 
@@ -90,8 +123,9 @@ class Streamed:
             pin_memory=self._device.type == "cuda",
             multiprocessing_context="spawn",  # a fork may inherit locks that torch's threads hold
         )
-        for images, R_gt in loader:
-            yield images.to(self._device, non_blocking=True), R_gt.to(self._device, non_blocking=True)
+        for rows, images, R_gt in loader:
+            is_rejected = None if self._is_rejected is None else self._is_rejected[rows]
+            yield Batch(images, R_gt, is_rejected).to(self._device)
 
     def batches_an_epoch(self) -> int:
         """Return how many batches an epoch has: whole ones of each worker's part."""
@@ -99,20 +133,35 @@ class Streamed:
         return sum((n * (part + 1) // parts - n * part // parts) // self.batch for part in range(parts))
 
 
-def training_data(dataset: Dataset, batch: int, seed: int, device: torch.device) -> TrainingData:
-    """Return a split's batches from the nearest memory that holds its images; else from worker processes."""
+def training_data(
+    dataset: Dataset, batch: int, seed: int, device: torch.device, *, with_rejected: bool = False
+) -> TrainingData:
+    """Return a split's batches from the nearest memory that holds its images; else from worker processes.
+
+    Args:
+        dataset: its images.
+        batch: how many a batch has.
+        seed: of their order.
+        device: where they are needed.
+        with_rejected: whether batches have `is_rejected`.
+
+    Raises:
+        NotAnnotatedError: rejected candidates of a split without symmetry sets.
+        DataError: a shard is damaged.
+    """
+    is_rejected = _rejected(dataset) if with_rejected else None
     camera = dataset.manifest.recipe["camera"]
     needed = len(dataset) * camera["width"] * camera["height"] * 3
     is_free = needed <= _HOST_SHARE * free_bytes(torch.device("cpu"))
-    if is_free and (device.type == "cpu" or needed <= _DEVICE_SHARE * free_bytes(device)):
-        return InMemory(dataset, batch, seed, device, on_device=True)
-    if is_free:
-        return InMemory(dataset, batch, seed, device, on_device=False)
-    return Streamed(dataset, batch, seed, device, min(cores(), _MAX_WORKERS))
+    if not is_free:
+        return Streamed(dataset, batch, seed, device, min(cores(), _MAX_WORKERS), is_rejected)
+    fits_device = device.type == "cpu" or needed <= _DEVICE_SHARE * free_bytes(device)
+    images = decoded(dataset)._replace(is_rejected=is_rejected)
+    return InMemory(images, batch, seed, device, on_device=fits_device)
 
 
 def decoded(dataset: Dataset) -> Batch:
-    """Return all images (N, H, W, 3) uint8 and rotations (N, 3, 3) float32, read by as many threads as cores.
+    """Return all images and their rotations, read by as many threads as cores.
 
     Raises:
         DataError: an image is damaged.
@@ -130,7 +179,12 @@ def decoded(dataset: Dataset) -> Batch:
     parts = [everything[start : start + _IMAGES_AT_ONCE] for start in range(0, len(dataset), _IMAGES_AT_ONCE)]
     with ThreadPoolExecutor(cores()) as pool:
         list(pool.map(read, parts))
-    return images, R_gt
+    return Batch(images, R_gt)
+
+
+def _rejected(dataset: Dataset) -> Tensor:
+    labels = dataset.labels()
+    return torch.from_numpy(rejected_candidates(labels.symmetry_mask, labels.symmetry_group))
 
 
 def generator(device: torch.device | str, seed: int, epoch: int, purpose: str) -> torch.Generator:
@@ -139,19 +193,24 @@ def generator(device: torch.device | str, seed: int, epoch: int, purpose: str) -
     return torch.Generator(device).manual_seed(int.from_bytes(digest[:7], "little"))
 
 
-class _Part(IterableDataset[Sample]):
-    """What one worker reads in an epoch."""
+_Row: TypeAlias = tuple[int, Sample]
+
+
+class _Part(IterableDataset[_Row]):
+    """What one worker reads in an epoch: rows of the dataset, with their samples."""
 
     def __init__(self, dataset: Dataset, seed: int, epoch: int) -> None:
         self._dataset, self._seed, self._epoch = dataset, seed, epoch
 
-    def __iter__(self) -> Iterator[Sample]:
+    def __iter__(self) -> Iterator[_Row]:
         worker = get_worker_info()
         part, parts = (worker.id, worker.num_workers) if worker else (0, 1)
-        return (self._dataset[int(row)] for row in shuffled_order(self._dataset, self._seed, self._epoch, part, parts))
+        rows = map(int, shuffled_order(self._dataset, self._seed, self._epoch, part, parts))
+        return ((row, self._dataset[row]) for row in rows)
 
 
-def _collate(samples: list[Sample]) -> Batch:
+def _collate(pairs: list[_Row]) -> tuple[Tensor, Tensor, Tensor]:
+    rows, samples = zip(*pairs, strict=True)
     images = np.stack([sample.image for sample in samples])
     R_gt = np.stack([sample.rotation for sample in samples]).astype(np.float32)
-    return torch.from_numpy(images), torch.from_numpy(R_gt)
+    return torch.tensor(rows), torch.from_numpy(images), torch.from_numpy(R_gt)

@@ -65,10 +65,10 @@ class Truth:
             "barely": shown & (self.labels.marking_pixels < barely_px),
         }
 
-    def near_elements(self, angle_rad: float) -> npt.NDArray[np.bool_]:
-        """Return which elements of the group (G, G) lie within an angle of each other; so do R g and R g'."""
-        group: Rotations = self.labels.symmetry_group
-        return np.stack([angle_between(g, group) <= angle_rad for g in group])
+
+def near_elements(group: Rotations, angle_rad: float) -> npt.NDArray[np.bool_]:
+    """Return which elements of a group (G, 3, 3) lie within an angle of each other, (G, G); so do R g and R g'."""
+    return np.stack([angle_between(g, group) <= angle_rad for g in group])
 
 
 def truth_of(dataset: Dataset) -> Truth:
