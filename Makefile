@@ -36,7 +36,7 @@ soak: $(INSTALLED)  ## long proofs on real renders and real processes, in build/
 	$(BIN)/python tests/soak
 
 perf: $(INSTALLED)  ## speed and memory, beside the common recipe, drawing every candidate, and PNG files
-	$(BIN)/python tests/perf.py
+	$(BIN)/python tests/perf
 
 fuzz: $(INSTALLED)  ## 20,000 damaged predictions files
 	$(BIN)/python tests/fuzz_predictions.py

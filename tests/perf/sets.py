@@ -1,4 +1,4 @@
-"""One set made from start to end, for its rate and its memory: python tests/perf_sets.py '{"images": 200, ...}'.
+"""One set made from start to end, for its rate and its memory: python tests/perf/sets.py '{"images": 200, ...}'.
 
 A process of its own for each set, so that its peak memory is its own. Prints JSON.
 """

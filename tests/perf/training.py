@@ -1,6 +1,6 @@
 """How fast a model is trained, beside the network alone: forward, backward and step on random tensors.
 
-python tests/perf_training.py FOLDER [RECIPE ..] [--device auto] [--rounds 5] [--seconds 8] [--json FILE]
+python tests/perf/training.py FOLDER [RECIPE ..] [--device auto] [--rounds 5] [--seconds 8] [--json FILE]
 
 FOLDER is a set with a train split. The ways take turns within a round, each on a warm network of its own; a share is
 taken within its round, and medians are told. Neither counts the evaluation of held-out images, nor the writing of
@@ -18,7 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from perf_sets import peak_mib
+from sets import peak_mib
 
 from symsol_annot.bench import checkpoints, training
 from symsol_annot.bench.devices import choose_device, has_bfloat16, laid_out_for

@@ -1,6 +1,6 @@
 """How fast a set loads, beside the same images as a folder of PNG files.
 
-python tests/perf_loading.py FOLDER [--split test] [--rounds 9] [--json FILE]
+python tests/perf/loading.py FOLDER [--split test] [--rounds 9] [--json FILE]
 
 A sample is an image, its segmentation, its rotation and its symmetry mask. Each way reads all samples of a split in one
 shuffled order, in one process, from files that were read before; the ways take turns within a round, and a ratio is
@@ -18,8 +18,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from perf_sets import peak_mib
 from PIL import Image
+from sets import peak_mib
 
 from symsol_annot import load
 from symsol_annot.chunks import ByteFile, Rows

@@ -1,4 +1,4 @@
-"""Where a view's time goes, inside Blender's process: python tests/perf_stages.py OBJECT [VIEWS] prints JSON.
+"""Where a view's time goes, inside Blender's process: python tests/perf/stages.py OBJECT [VIEWS] prints JSON.
 
 Each stage, and each way not taken, is timed over the same views, in turn, and its median is given in ms. "rasteriser
 alone" draws the object's window and writes nothing: what no change outside Blender and Mesa can undercut.

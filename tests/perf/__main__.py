@@ -1,9 +1,9 @@
 """How fast, beside the common recipe, the exhaustive way and a folder of PNG files: `make perf`.
 
-python tests/perf.py [--quick] [--json FILE]
+python tests/perf [--quick] [--json FILE]
 
 Everything in one run on one machine, whatever is compared in turn; ratios of medians. Takes about 10 minutes, with
---quick about 2. The recipe is described in perf_recipe.py.
+--quick about 2. The recipe is described in recipe.py.
 """
 
 import argparse
@@ -16,11 +16,14 @@ import sys
 import tempfile
 from pathlib import Path
 
+import annotation
+import loading
+import sets
+from recipe import Recipe
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
 import dask_cluster
-import perf_annotation
-import perf_loading
-import perf_sets
-from perf_recipe import Recipe
 
 NAME = "cylO"
 PROCESSES = 2
@@ -54,13 +57,13 @@ def measure(*, quick):
         found = {
             "pairs": pairs(folder, images, rounds),
             "stages_ms": {name: stages(name, images // 4) for name in ("cylO", "tetX")},
-            "annotation": {name: perf_annotation.measure(name, views) for name in ("cylO", "tetX")},
+            "annotation": {name: annotation.measure(name, views) for name in ("cylO", "tetX")},
             "growth": growth(folder, images, rounds, counts),
         }
-        found["loading"] = perf_loading.measure(folder / str(counts[0]), rounds=2 * rounds + 1)
+        found["loading"] = loading.measure(folder / str(counts[0]), rounds=2 * rounds + 1)
         found["loading_growth"] = {
             f"{count} images, {_processes(processes)}": [
-                perf_loading.load_together(folder / str(count), processes) for _ in range(rounds)
+                loading.load_together(folder / str(count), processes) for _ in range(rounds)
             ]
             for count in counts
             for processes in (1, PROCESSES)
@@ -73,8 +76,8 @@ def pairs(folder, images, rounds):
     rates = {kind: [] for kind in ("all sets", "no sets", "recipe, 2 processes", "recipe, 2 threads")}
     with Recipe(NAME, PROCESSES, 1, folder) as processes, Recipe(NAME, 1, PROCESSES, folder) as threads:
         for _ in range(rounds):
-            rates["all sets"].append(perf_sets.make(NAME, images, PROCESSES, "all")["pairs_per_second"])
-            rates["no sets"].append(perf_sets.make(NAME, images, PROCESSES, "none")["pairs_per_second"])
+            rates["all sets"].append(sets.make(NAME, images, PROCESSES, "all")["pairs_per_second"])
+            rates["no sets"].append(sets.make(NAME, images, PROCESSES, "none")["pairs_per_second"])
             for kind, recipe in (("recipe, 2 processes", processes), ("recipe, 2 threads", threads)):
                 drawn = recipe.draw(max(images // 5, 2 * PROCESSES))
                 rates[kind].append(round(drawn["frames"] / drawn["wall"], 2))
@@ -83,7 +86,7 @@ def pairs(folder, images, rounds):
 
 def stages(name, views):
     """Return the median ms of each stage of a view, measured inside Blender's process."""
-    script = Path(__file__).parent / "perf_stages.py"
+    script = Path(__file__).parent / "stages.py"
     command = [sys.executable, str(script), name, str(views)]
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
@@ -91,21 +94,21 @@ def stages(name, views):
 def growth(folder, images, rounds, counts):
     """Return what 1 and 2 processes make, in turn, and sets of few and of many images, with their memory."""
     ways = {
-        f"{sets}, {_processes(processes)}": (processes, annotate)
-        for sets, annotate in (("all sets", "all"), ("no sets", "none"))
+        f"{kind}, {_processes(processes)}": (processes, annotate)
+        for kind, annotate in (("all sets", "all"), ("no sets", "none"))
         for processes in (1, PROCESSES)
     }
     runs = {way: [] for way in ways}
     for _ in range(rounds):
         for way, (processes, annotate) in ways.items():
-            runs[way].append(perf_sets.make(NAME, images, processes, annotate))
+            runs[way].append(sets.make(NAME, images, processes, annotate))
     with dask_cluster.scheduler(folder) as address, dask_cluster.workers(folder, address, PROCESSES):
         for _ in range(rounds):
             for way, cluster in ((f"{counts[0]} images, local", None), (f"{counts[0]} images, Dask", address)):
-                made = perf_sets.make(NAME, counts[0], PROCESSES, "all", cluster=cluster)
+                made = sets.make(NAME, counts[0], PROCESSES, "all", cluster=cluster)
                 runs.setdefault(way, []).append(made)
     for count in counts:
-        runs[f"all sets, {count} images"] = [perf_sets.make(NAME, count, PROCESSES, "all", folder / str(count))]
+        runs[f"all sets, {count} images"] = [sets.make(NAME, count, PROCESSES, "all", folder / str(count))]
     return runs
 
 

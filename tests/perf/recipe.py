@@ -5,7 +5,7 @@ masks in flat emission with one sample and no filter, frames by way of memory-ba
 down is left out: no denoiser (BlenderProc's default is Intel's), no adaptive sampling (no gain at 16 samples), no light
 tree, the quicker sampling pattern, BMP in place of PNG and EXR. Shares no code with the package's renderer.
 
-python tests/perf_recipe.py OBJECT THREADS FOLDER: a line "FIRST COUNT" on stdin draws those poses of the test split of
+python tests/perf/recipe.py OBJECT THREADS FOLDER: a line "FIRST COUNT" on stdin draws those poses of the test split of
 seed 0, and a JSON line on stdout says what it took.
 """
 

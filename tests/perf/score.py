@@ -1,4 +1,4 @@
-"""How long scoring takes, stage by stage and beside roma; run by hand: python tests/perf_score.py [--images 5000].
+"""How long scoring takes, stage by stage and beside roma; run by hand: python tests/perf/score.py [--images 5000].
 
 Makes a set of cylO's size and symmetry sets without drawing anything (a candidate is hidden where the disc's centre
 faces away), 30 hypotheses an image, and prints one table. Everything is timed in one run, and the ratios with it.

@@ -1,0 +1,94 @@
+"""The gallery's page in a headless Chromium, as somebody sees and uses it."""
+
+import contextlib
+import shutil
+import time
+from urllib.parse import urlencode
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",  # plotly's three dimensions without a GPU
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--force-prefers-reduced-motion",  # the ball stands still
+    "--window-size=1300,900",
+)
+WAIT_S = 60
+UP_DOWN = {"ArrowUp": "\ue013", "ArrowDown": "\ue015", "ArrowLeft": "\ue012", "ArrowRight": "\ue014", "End": "\ue010"}
+
+
+@contextlib.contextmanager
+def chromium(profile):
+    """Start one with a folder of its own; it keeps a log of its console and of what it asks for."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for option in (*OPTIONS, f"--user-data-dir={profile}"):
+        options.add_argument(option)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+class Page:
+    """The page, as somebody sees and uses it."""
+
+    def __init__(self, driver, folder):
+        self.driver, self.folder = driver, folder
+
+    def open(self, **address):
+        self.driver.get("about:blank")
+        self.driver.get(f"{(self.folder / 'index.html').as_uri()}#{urlencode(address)}")
+        self.wait_for("document.body.dataset.ready")
+        return self
+
+    def run(self, script, *arguments):
+        return self.driver.execute_script(f"return {script}", *arguments)
+
+    def wait_for(self, script, *arguments):
+        end = time.monotonic() + WAIT_S
+        while not (found := self.run(script, *arguments)):
+            assert time.monotonic() < end, f"never came true: {script}"
+            time.sleep(0.02)
+        return found
+
+    def set(self, field, value):
+        script = "(() => { const f = document.getElementById(arguments[0]); f.value = arguments[1];"
+        self.run(f"{script} f.dispatchEvent(new Event('input', {{bubbles: true}})); }})()", field, value)
+
+    def text(self, field):
+        return self.run("document.getElementById(arguments[0]).innerText", field)
+
+    def count(self):
+        return int(self.text("count").split()[0].replace(",", ""))
+
+    def press(self, key):
+        self.driver.switch_to.active_element.send_keys(key)
+
+    def focused(self):
+        return self.run("document.activeElement.id")
+
+    def title(self, wanted):
+        """Wait until an image is the one shown, with everything about it."""
+        self.wait_for(
+            "document.getElementById('detail-title').textContent === arguments[0] && "
+            "Boolean(document.getElementById('detail').dataset.shown) && !document.querySelector('#detail').hidden",
+            wanted,
+        )
+
+    def options(self):
+        """The titles of the thumbnails that are in the document, in their order."""
+        cells = (
+            "[...document.querySelectorAll('[role=option]')].sort((a, b) => a.dataset.position - b.dataset.position)"
+        )
+        return self.run(f"{cells}.map((c) => c.querySelector('.cell-title').firstChild.textContent)")
