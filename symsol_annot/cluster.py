@@ -28,7 +28,7 @@ from distributed.core import rpc
 
 from symsol_annot import __version__
 from symsol_annot.blender_process import RENDERING_PYTHON
-from symsol_annot.errors import ClusterError, RendererCrashedError, SymsolError
+from symsol_annot.errors import ClusterError, RendererCrashedError, SymsolError, bulleted
 from symsol_annot.executors import MakerPool
 from symsol_annot.manifest import ShardEntry
 from symsol_annot.plan import SetPlan
@@ -178,8 +178,7 @@ class DaskCluster:
         faults = worker_faults({worker: about["packages"] for worker, about in versions["workers"].items()})
         if faults:
             raise ClusterError(
-                f"workers of {self._address} cannot make this set; nothing was begun:\n"
-                + "\n".join(f"  - {fault}" for fault in faults)
+                f"workers of {self._address} cannot make this set; nothing was begun:\n" + bulleted(faults)
             )
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.chunks import HDF5_ERRORS, ByteFile, Rows, identity_of, whole
-from symsol_annot.errors import DataError, NotAnnotatedError
+from symsol_annot.errors import DataError, NotAnnotatedError, bulleted
 from symsol_annot.manifest import SPLITS, Manifest, read_manifest
 from symsol_annot.shards import header_mismatches, open_shard
 from symsol_annot.so3 import Rotations, turned
@@ -287,7 +287,7 @@ def _check_header(file: Any, path: Path, images: int, expected: dict[str, Any]) 
     if len(file["rotation"]) != images:
         faults.append(f"expected {images} images, found {len(file['rotation'])}")
     if faults:
-        raise DataError(f"{path}: is no shard of this set:\n" + "\n".join(f"  - {fault}" for fault in faults))
+        raise DataError(f"{path}: is no shard of this set:\n" + bulleted(faults))
 
 
 def load(folder: str | os.PathLike[str], split: str = "test") -> Dataset:

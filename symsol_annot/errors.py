@@ -26,6 +26,16 @@ Every message says what was expected, what was found, where, and what to do next
 from collections.abc import Sequence
 
 
+def bulleted(lines: Sequence[str]) -> str:
+    """Return the lines of a list in a message."""
+    return "\n".join(f"  - {line}" for line in lines)
+
+
+def count_of(faults: Sequence[str]) -> str:
+    """Return how many they are, in words."""
+    return "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+
+
 class SymsolError(Exception):
     """The root of this package's exceptions."""
 
@@ -56,7 +66,7 @@ class DifferentSetError(DataError):
     def __init__(self, folder: str, differences: Sequence[str]) -> None:
         super().__init__(
             f"{folder} already holds another set; nothing was touched. It differs in:\n"
-            + "\n".join(f"  - {line}" for line in differences)
+            + bulleted(differences)
             + "\nUse another --out folder, or delete that one."
         )
         self.differences = tuple(differences)
@@ -70,10 +80,8 @@ class PredictionsError(SymsolError):
     """A predictions file is broken, or about another set; `faults` lists all that was found."""
 
     def __init__(self, path: str, faults: Sequence[str]) -> None:
-        count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
-        super().__init__(
-            f"{path}: {count}; docs/submission.md says what belongs there:\n" + "\n".join(f"  - {f}" for f in faults)
-        )
+        count = count_of(faults)
+        super().__init__(f"{path}: {count}; docs/submission.md says what belongs there:\n" + bulleted(faults))
         self.faults = tuple(faults)
 
 

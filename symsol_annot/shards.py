@@ -30,7 +30,7 @@ from symsol_annot.chunks import (
     inflated,
     stored,
 )
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DataError, bulleted
 from symsol_annot.objects import MAX_GROUP_ORDER
 from symsol_annot.scene import View
 from symsol_annot.so3 import Rotations
@@ -278,7 +278,7 @@ def open_shard(path: Path, in_memory: io.BytesIO | None = None) -> Iterator[h5py
     with file:
         faults = _structure_faults(file)
         if faults:
-            raise DataError(f"{path}: is no valid shard:\n" + "\n".join(f"  - {fault}" for fault in faults))
+            raise DataError(f"{path}: is no valid shard:\n" + bulleted(faults))
         yield file
 
 

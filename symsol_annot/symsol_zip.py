@@ -23,7 +23,7 @@ from typing import IO, Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DataError, bulleted
 from symsol_annot.manifest import SPLITS
 from symsol_annot.scene import SIZE_RANGE
 
@@ -117,7 +117,7 @@ class SymsolZip:
             faults = _member_faults(self._zip) or self._open_tables(stack) or self._table_faults()
             faults = faults or self._image_faults()
             if faults:
-                listed = "\n".join(f"  - {fault}" for fault in faults)
+                listed = bulleted(faults)
                 raise DataError(f"{path}: is not laid out as the original SYMSOL:\n{listed}")
             self._open_files = stack.pop_all()
 

@@ -21,7 +21,7 @@ from symsol_annot.bench.recipe import builtin_recipes
 from symsol_annot.bench.report import TABLE
 from symsol_annot.bench.scores_file import figures_that_differ, read_scores
 from symsol_annot.bench.tables import from_table
-from symsol_annot.errors import ScoresError
+from symsol_annot.errors import ScoresError, bulleted, count_of
 
 T = TypeVar("T")
 
@@ -176,8 +176,8 @@ def read_leaderboard(folder: Path) -> Leaderboard:
             faults += found
     faults += _doubled(results)
     if faults or thesis is None:
-        count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
-        raise ScoresError(f"{folder}: the leaderboard has {count}:\n" + "\n".join(f"  - {fault}" for fault in faults))
+        count = count_of(faults)
+        raise ScoresError(f"{folder}: the leaderboard has {count}:\n" + bulleted(faults))
     return Leaderboard(sets, results, thesis)
 
 

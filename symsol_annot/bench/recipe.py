@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeAlias
 
 from symsol_annot.bench.format import MAX_GRID_LEVEL, MAX_HYPOTHESES
 from symsol_annot.bench.tables import from_table
-from symsol_annot.errors import SettingsError
+from symsol_annot.errors import SettingsError, bulleted, count_of
 
 MetaLoss = Literal["wta", "rwta", "ewta"]
 EmbeddedLoss = Literal["cyclic-cosine", "von-mises", "geodesic"]
@@ -291,8 +291,5 @@ def _outside(recipe: Any, **ranges: tuple[float, float]) -> Iterator[str]:
 
 
 def _refusal(source: str, faults: list[str]) -> SettingsError:
-    count = "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
-    return SettingsError(
-        f"{source}: the recipe has {count}; docs/training.md lists the keys:\n"
-        + "\n".join(f"  - {fault}" for fault in faults)
-    )
+    count = count_of(faults)
+    return SettingsError(f"{source}: the recipe has {count}; docs/training.md lists the keys:\n" + bulleted(faults))

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from symsol_annot.bench.averages import PerImage, figures
 from symsol_annot.bench.report import SCORES_FORMAT, SCORES_FORMAT_VERSION, TABLE
 from symsol_annot.bench.structure import shown
-from symsol_annot.errors import ScoresError
+from symsol_annot.errors import ScoresError, bulleted
 
 _MAX_BYTES = 2**28
 _POOLED = ("recall_mean_error_rad", "coverage_at_5_deg")
@@ -42,7 +42,7 @@ def read_scores(path: Path) -> dict[str, Any]:
         raise ScoresError(f"{path}: this version reads format_version {SCORES_FORMAT_VERSION}, found {found}")
     faults = list(islice(_faults(document), _SHOWN_FAULTS))
     if faults:
-        lines = "\n".join(f"  - {fault}" for fault in faults)
+        lines = bulleted(faults)
         raise ScoresError(f"{path}: was edited or is damaged; `score --json` writes it again:\n{lines}")
     return document
 

@@ -21,7 +21,7 @@ from symsol_annot.bench.schedules import Moment, moment_at
 from symsol_annot.bench.training_data import Batch, decoded, generator, training_data
 from symsol_annot.bench.training_plots import plot_curve
 from symsol_annot.dataset import Dataset, Labels
-from symsol_annot.errors import NotAnnotatedError, SettingsError, TrainingError
+from symsol_annot.errors import NotAnnotatedError, SettingsError, TrainingError, bulleted
 from symsol_annot.files import file_sha256, held_folder
 
 OnStart = Callable[[About, int], object]
@@ -254,7 +254,7 @@ def _refuse_other(out: Path, about: About) -> None:
     if differences:
         raise TrainingError(
             f"{out} holds another training; nothing was touched. It differs in:\n"
-            + "\n".join(f"  - {line}" for line in differences)
+            + bulleted(differences)
             + "\nUse another --out folder, or delete that one."
         )
 

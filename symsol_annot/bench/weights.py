@@ -13,7 +13,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from symsol_annot.errors import WeightsError
+from symsol_annot.errors import WeightsError, bulleted
 from symsol_annot.files import file_sha256, write_atomically
 
 Weights: TypeAlias = dict[str, torch.Tensor]
@@ -96,7 +96,7 @@ def load_weights(model: nn.Module, weights: Mapping[str, torch.Tensor], source: 
         *_fault("not finite", (name for name in alike if not weights[name].to(expected[name].dtype).isfinite().all())),
     ]
     if faults:
-        raise WeightsError(f"{source}: these are not {wanted}:\n" + "\n".join(f"  - {line}" for line in faults))
+        raise WeightsError(f"{source}: these are not {wanted}:\n" + bulleted(faults))
     model.load_state_dict(weights)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from symsol_annot.dataset import load
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DataError, bulleted
 from symsol_annot.files import file_sha256, held_folder
 from symsol_annot.manifest import MANIFEST_NAME
 from symsol_annot.publish.about import About
@@ -72,7 +72,7 @@ def _refuse_faults(sets: tuple[PublishedSet, ...], on_shard: Callable[[], object
     if faults:
         raise DataError(
             "nothing was published, for the data have faults (`symsol-annot verify --repair` makes shards again):\n"
-            + "\n".join(f"  - {fault}" for fault in faults)
+            + bulleted(faults)
         )
 
 

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DataError, bulleted
 from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest
 
 GROUPS_CONFIG = "symmetry_groups"  # beside the sets in the Parquet mirror
@@ -65,7 +65,7 @@ def sets_in(folder: Path) -> tuple[PublishedSet, ...]:
         sets.append(found)
         faults += [f"{path}: {fault}" for fault in _faults_of(found)]
     if faults:
-        raise DataError("nothing was published:\n" + "\n".join(f"  - {fault}" for fault in faults))
+        raise DataError("nothing was published:\n" + bulleted(faults))
     return tuple(sets)
 
 
