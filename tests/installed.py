@@ -11,10 +11,16 @@ NEEDS = [
     ("plot", ["plot", "images", "SAMPLE", "--count", "2", "--out", "images.png"]),
     ("gallery", ["gallery", "SAMPLE", "--limit", "8", "--redrawn", "0"]),
     ("publish", ["publish", "SAMPLE", "--out", "bundle"]),
-    ("bench", ["train", "small-rwta", "--data", "SAMPLE", "--epochs", "1", "--held-out", "16", "--out", "run"]),
+    (
+        "bench",
+        ["train", "small-rwta", "--data", "SAMPLE", "--epochs", "1", "--validation-images", "16", "--out", "run"],
+    ),
     ("bench", ["predict", "run", "--data", "SAMPLE"]),
 ]
 EXTRAS = tuple(dict.fromkeys(extra for extra, _ in NEEDS))
+# What needs a second extra beside the first.
+TOGETHER = [("bench", "plot", ["plot", "losses", "--out", "losses.png"])]
+_NOBODY_THERE = "nobody answers"  # what Dask's executor says, as no scheduler is there
 _TRUTH = """
 import symsol_annot
 from symsol_annot.bench.submission import write_hypotheses
@@ -47,10 +53,18 @@ def check_refusal(environment, extra, words, folder):
 
 def check_extra(environment, wanted, folder):
     """The commands of an extra work where no other is installed."""
-    ending = 1 if wanted == "cluster" else 0  # no scheduler is there, and Dask says so
+    ending = 1 if wanted == "cluster" else 0
     for words in [words for extra, words in NEEDS if extra == wanted]:
         done = environment.run("symsol-annot", *_on_sample(environment, words), cwd=folder, expected=ending)
         assert "pip install" not in done.stderr, done.stderr
+        assert (_NOBODY_THERE in done.stderr) == (wanted == "cluster"), done.stderr
+
+
+def check_together(environment, wheel, wanted, folder):
+    """So do the commands that need it and another, once that is installed too."""
+    for _, other, words in [row for row in TOGETHER if row[0] == wanted]:
+        environment.pip("install", "--quiet", f"{wheel}[{other}]")
+        environment.run("symsol-annot", *words, cwd=folder)
 
 
 def _on_sample(environment, words):

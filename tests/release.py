@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from environments import PROJECT, Environment, build, project_copy
-from installed import EXTRAS, NEEDS, check_base, check_extra, check_refusal
+from installed import EXTRAS, NEEDS, check_base, check_extra, check_refusal, check_together
 
 _RENDERING_PYTHON = "3.11"
 _PYTHONS = (_RENDERING_PYTHON, "3.12", "3.13")
@@ -35,8 +35,7 @@ def main():
                 print(lines[-1], flush=True)
     (PROJECT / "build").mkdir(exist_ok=True)
     (PROJECT / "build" / "release.md").write_text("\n".join(lines) + "\n")
-    failed = [line for line in lines if "FAILED" in line]
-    sys.exit(1 if failed else 0)
+    sys.exit(1 if any(word in line for line in lines for word in ("FAILED", "NOT TRIED")) else 0)
 
 
 def built(workplace):
@@ -63,7 +62,7 @@ def interpreter(version):
 def outcome(workplace, wheel, python, extra):
     """Install and try; the last three columns of the table."""
     if python is None:
-        return "| | no such Python here"
+        return "| | NOT TRIED: no such Python here"
     folder = Path(tempfile.mkdtemp(dir=workplace))
     try:
         environment = Environment(folder / "env", python)
@@ -73,6 +72,7 @@ def outcome(workplace, wheel, python, extra):
         (folder / "work").mkdir()
         if extra:
             check_extra(environment, extra, folder / "work")
+            check_together(environment, wheel, extra, folder / "work")
             return f"{size:.0f} | | works"
         check_base(environment, folder / "work")
         for needed, words in NEEDS:

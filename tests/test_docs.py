@@ -19,7 +19,7 @@ from symsol_annot.scene import Camera
 from symsol_annot.so3 import uniform_rotations
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("examples/**/*.md")])
 
 
 def code_blocks(page, language):
