@@ -66,6 +66,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 		--editable '.[render,plot,publish,gallery,bench,cluster,docs,dev]' --config-settings editable_mode=strict
-	$(BIN)/symsol-annot doctor --install --browser
+	$(BIN)/symsol-annot doctor --install
+	$(BIN)/python tests/gallery_browser.py
 	rm -f $(VENV)/installed-*
 	touch $@

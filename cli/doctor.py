@@ -11,14 +11,13 @@ from symsol_annot import doctor as examination
 
 @click.command(epilog=example("symsol-annot doctor --install"))
 @click.option("--install", is_flag=True, help="Install missing system libraries first (Debian and its kin, as root).")
-@click.option("--browser", is_flag=True, help="With --install: also Chromium, which the tests of the gallery drive.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Disk to look at."
 )
-def doctor(*, install: bool, browser: bool, out: Path) -> None:
+def doctor(*, install: bool, out: Path) -> None:
     """Say what this machine lacks for rendering, and the one line that installs it."""
     if install:
-        examination.install_missing_packages(browser=browser)
+        examination.install_missing_packages()
     is_well = True
     for finding in examination.examine(out):
         verdict = "FAIL" if not finding.is_good else "warn" if finding.remedy else "ok  "

@@ -6,10 +6,11 @@ from pathlib import Path
 import click
 from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example, progress_bar
 
+from symsol_annot.extras import check_extra
 from symsol_annot.gallery.redrawn import Redrawer
 from symsol_annot.gallery.runs import read_runs
 from symsol_annot.gallery.sources import open_sources
-from symsol_annot.gallery.writing import check_plotly, write_gallery
+from symsol_annot.gallery.writing import write_gallery
 from symsol_annot.manifest import SPLITS
 from symsol_annot.objects import ObjectSpec
 
@@ -60,7 +61,7 @@ def gallery(
     DATA is a set like data/cylO, or a folder of sets like data. Open index.html of the folder in a browser; it needs
     no network.
     """
-    check_plotly()
+    check_extra("gallery", "the gallery")
     sources = open_sources(folder, splits, limit)
     with progress_bar(None, "row") as bar:
         runs = read_runs(paths, folder, sources, bar.update)

@@ -4,9 +4,10 @@ import sys
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import cores, example, progress_bar
+from symsol_annot_cli.parameters import example, progress_bar
 from tqdm import tqdm
 
+from symsol_annot.machine import cores
 from symsol_annot.manifest import SPLITS, Manifest
 from symsol_annot.symsol_import import ImportedSet
 from symsol_annot.symsol_import import import_symsol as imported_sets

@@ -4,8 +4,10 @@ Exit codes: 0 done, 1 the input or the data is wrong, 2 the command line is, 130
 """
 
 import io
+import os
 import signal
 import sys
+import traceback
 
 import click
 from symsol_annot_cli.compare import compare
@@ -31,6 +33,7 @@ from symsol_annot_cli.verify import verify
 from symsol_annot import SymsolError, __version__
 
 _INTERRUPTED = 130
+_OWN = {*sys.stdlib_module_names, "click", "symsol_annot", "symsol_annot_cli"}
 _EXAMPLE = example(
     "symsol-annot render --object cylO --train 0 --test 64",
     "symsol-annot verify data/cylO",
@@ -64,7 +67,35 @@ def main() -> None:
     except SymsolError as error:
         click.echo(f"Error: {error}", err=True)
         code = 1
+    except OSError as error:
+        click.echo(f"Error: {_os_error_in_words(error)}", err=True)
+        code = 1
+    except ImportError as error:  # a missing package is a SymsolError
+        click.echo(f"Error: {_import_error_in_words(error)}", err=True)
+        code = 1
     except (click.Abort, KeyboardInterrupt):
         click.echo("Interrupted.", err=True)
         code = _INTERRUPTED
     sys.exit(code or 0)
+
+
+def _os_error_in_words(error: OSError) -> str:
+    """Name the file, or standard output, of which the system says no name."""
+    name, reason = error.filename, error.strerror or str(error)
+    if name is None and _modules_of(error)[-1].startswith("click."):  # its echo
+        name = "standard output"
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # or Python's end would fail on what is still to be written
+    return reason if name is None else f"{name}: {reason}"
+
+
+def _import_error_in_words(error: ImportError) -> str:
+    """Name the package that this program asked for, which need not be the one that was not found."""
+    packages = [module.partition(".")[0] for module in _modules_of(error)]
+    package = next((name for name in packages if name not in _OWN), error.name or "a package")
+    reason = str(error).strip().partition("\n")[0]
+    return f"{package} is broken: {reason}; reinstall it: `pip install --force-reinstall {package}`"
+
+
+def _modules_of(error: Exception) -> list[str]:
+    """Return the names of the modules that an error passed through, its own last."""
+    return [frame.f_globals.get("__name__", "") for frame, _ in traceback.walk_tb(error.__traceback__)]

@@ -1,6 +1,5 @@
 """What several commands share: the object parameter, the folder argument, what is said while it works."""
 
-import os
 import sys
 from pathlib import Path
 
@@ -9,6 +8,7 @@ from click.shell_completion import CompletionItem
 from tqdm import tqdm
 
 from symsol_annot.errors import UnknownObjectError
+from symsol_annot.manifest import SPLITS
 from symsol_annot.objects import ObjectSpec, builtin_names, load_object
 
 
@@ -41,9 +41,7 @@ def example(*lines: str) -> str:
 
 
 SET_FOLDER = click.argument("folder", metavar="DATA", type=click.Path(path_type=Path))
-SPLIT = click.option("--split", type=click.Choice(["train", "test"]), default="test", show_default=True)
-
-
+SPLIT = click.option("--split", type=click.Choice(SPLITS), default="test", show_default=True)
 PREDICTIONS = click.argument("paths", metavar="PREDS.H5...", nargs=-1, required=True, type=click.Path(path_type=Path))
 DATA = click.option(
     "--data",
@@ -57,8 +55,3 @@ DATA = click.option(
 def progress_bar(total: int | None, unit: str, done: int = 0) -> "tqdm[None]":
     """Return a bar with rate (without what was `done`) and time left; quiet where standard error is no terminal."""
     return tqdm(total=total, initial=done, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,6 +1,6 @@
 """`symsol-annot plot`: pictures of sets, predictions, scores and losses."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
@@ -8,12 +8,13 @@ from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, example
 
 from symsol_annot import dataset
 from symsol_annot.bench import score_plots
+from symsol_annot.bench.format import TRACKS
 from symsol_annot.bench.predicted import predicted_rotations
 from symsol_annot.bench.predictions import open_predictions
 from symsol_annot.bench.report import STRATA
 from symsol_annot.bench.truth import find_set
 from symsol_annot.dataset import Dataset, Sample
-from symsol_annot.errors import SymsolError
+from symsol_annot.extras import check_extra
 from symsol_annot.plots import contact_sheet
 from symsol_annot.rotation_plots import KINDS, plot_sets
 from symsol_annot.so3 import Rotations
@@ -24,10 +25,6 @@ _OUT = click.option(
 _IMAGES = click.option(
     "--image", "images", type=click.IntRange(min=0), multiple=True, default=(0,), help="Which; may be repeated.  [0]"
 )
-_SCORES = click.argument("paths", metavar="SCORES.JSON...", nargs=-1, required=True, type=click.Path(path_type=Path))
-_OBJECT = click.option("--object", "name", metavar="NAME", required=True, help="Of those in the scores.")
-_STRATUM = click.option("--stratum", type=click.Choice(STRATA), default="all", show_default=True)
-_TRACK = click.option("--track", type=click.Choice(["hypotheses", "classifier", "density"]), help="If it has several.")
 
 
 @click.group()
@@ -43,12 +40,12 @@ def plot() -> None:
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="[default: DATA-SPLIT.png]")
 def images(folder: Path, split: str, start: int, count: int, out: Path | None) -> None:
     """Draw images with their segmentations and symmetry sets, on one sheet."""
+    check_extra("plot", "plotting")
     samples = dataset.load(folder, split)
     if start >= len(samples):
         raise click.UsageError(f"--start {start}: the split has {len(samples)} images, from 0")
     path = out or folder.parent / f"{folder.resolve().name}-{split}.png"
-    has_marking = samples.manifest.recipe["tolerance_px"] is not None
-    contact_sheet(samples[start : start + count], path, has_marking=has_marking)
+    contact_sheet(samples[start : start + count], path, has_marking=samples.has_marking)
     click.echo(path)
 
 
@@ -64,7 +61,7 @@ def images(folder: Path, split: str, start: int, count: int, out: Path | None) -
     help="In the ball of rotation vectors, or on the sphere of directions with the tilt as colour.",
 )
 @click.option("--predictions", type=click.Path(path_type=Path), help="Drawn over the truth: a predictions file.")
-@_TRACK
+@click.option("--track", type=click.Choice(list(TRACKS)), help="If it has several.")
 @_OUT
 def sets(
     folder: Path,
@@ -76,6 +73,9 @@ def sets(
     out: Path,
 ) -> None:
     """Draw images and their symmetry sets, with predictions over them."""
+    if track and not predictions:
+        raise click.UsageError(f"--track {track}: is of --predictions, which is not given")
+    check_extra("plot", "plotting")
     samples = dataset.load(folder, split)
     chosen = [_sample(samples, image) for image in images]
     title, predicted = f"{samples.object}, {split}", None
@@ -100,38 +100,43 @@ def slice_(
     checkpoints: tuple[Path, ...], data: Path, split: str, image: int, axis: str, reach: float, out: Path
 ) -> None:
     """Draw what classifiers say of the rotations that turn an image's own about one axis."""
-    try:
-        from symsol_annot.bench import slice_plots  # noqa: PLC0415 - slow to import
-        from symsol_annot.bench.checkpoints import open_checkpoint  # noqa: PLC0415
-    except ImportError:
-        raise SymsolError("this needs torch: `pip install 'symsol-annot[bench]'`") from None
+    check_extra("bench", "plotting slices")
+    check_extra("plot", "plotting")
+    from symsol_annot.bench import slice_plots  # noqa: PLC0415 - slow to import
+    from symsol_annot.bench.checkpoints import open_checkpoint  # noqa: PLC0415
+
     opened = [open_checkpoint(path) for path in checkpoints]
-    samples = dataset.load(find_set(data, opened[0].about.object), split)
+    samples = dataset.load(find_set(data, opened[0].record.object), split)
     classifiers = slice_plots.classifiers_for(samples, opened)
     slice_plots.plot_slice(classifiers, _sample(samples, image), out, axis, reach)
     click.echo(out)
 
 
-@plot.command(epilog=example("symsol-annot plot precision-recall a.json b.json --object tetX --out curve.pdf"))
-@_SCORES
-@_OBJECT
-@_STRATUM
-@_OUT
-def precision_recall(paths: tuple[Path, ...], name: str, stratum: str, out: Path) -> None:
-    """Draw the precision of classifiers over their recall, at all thresholds."""
-    score_plots.plot_precision_recall(paths, out, name, stratum)
-    click.echo(out)
+def _add_scores_plot(name: str, draw: Callable[[Sequence[Path], Path, str, str], None], about: str) -> None:
+    """Add a command that draws files of scores."""
+    line = f"symsol-annot plot {name} a.json b.json --object tetX --out {name}.pdf"
+
+    @plot.command(name, help=about, epilog=example(line))
+    @click.argument("paths", metavar="SCORES.JSON...", nargs=-1, required=True, type=click.Path(path_type=Path))
+    @click.option("--object", "object_name", metavar="NAME", required=True, help="Of those in the scores.")
+    @click.option("--stratum", type=click.Choice(STRATA), default="all", show_default=True)
+    @_OUT
+    def draw_scores(paths: tuple[Path, ...], object_name: str, stratum: str, out: Path) -> None:
+        check_extra("plot", "plotting")
+        draw(paths, out, object_name, stratum)
+        click.echo(out)
 
 
-@plot.command(epilog=example("symsol-annot plot coverage a.json b.json --object tetX --out coverage.pdf"))
-@_SCORES
-@_OBJECT
-@_STRATUM
-@_OUT
-def coverage(paths: tuple[Path, ...], name: str, stratum: str, out: Path) -> None:
-    """Draw the coverage and accuracy of hypotheses over the angle."""
-    score_plots.plot_coverage(paths, out, name, stratum)
-    click.echo(out)
+_add_scores_plot(
+    "precision-recall",
+    score_plots.plot_precision_recall,
+    "Draw the precision of classifiers over their recall, at all thresholds.",
+)
+_add_scores_plot(
+    "coverage",
+    score_plots.plot_coverage,
+    "Draw the coverage and accuracy of hypotheses over the angle.",
+)
 
 
 @plot.command(epilog=example("symsol-annot plot losses --out losses.png"))
@@ -139,10 +144,10 @@ def coverage(paths: tuple[Path, ...], name: str, stratum: str, out: Path) -> Non
 @_OUT
 def losses(*, toy: bool, out: Path) -> None:
     """Draw the losses of the thesis: figures 4.5, A.1 and A.2 as curves, or figures 4.2 to 4.4 as a toy."""
-    try:
-        from symsol_annot.bench import loss_plots  # noqa: PLC0415 - slow to import
-    except ImportError:
-        raise SymsolError("this needs torch: `pip install 'symsol-annot[bench]'`") from None
+    check_extra("bench", "plotting losses")
+    check_extra("plot", "plotting")
+    from symsol_annot.bench import loss_plots  # noqa: PLC0415 - slow to import
+
     (loss_plots.plot_toys if toy else loss_plots.plot_curves)(out)
     click.echo(out)
 

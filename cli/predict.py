@@ -7,7 +7,7 @@ from symsol_annot_cli.parameters import DATA, SPLIT, example
 
 from symsol_annot import dataset
 from symsol_annot.bench.truth import find_set
-from symsol_annot.errors import SymsolError
+from symsol_annot.extras import check_extra
 from symsol_annot.grid import STANDARD_LEVEL
 
 
@@ -25,13 +25,12 @@ def predict(checkpoint: Path, data: Path, split: str, out: Path, device: str, me
     CHECKPOINT is the folder that `train` wrote, or a file of weights in it. A classifier's predictions may be
     interrupted; the same command goes on.
     """
-    try:
-        from symsol_annot.bench import checkpoints, devices, inference  # noqa: PLC0415 - slow to import
-    except ImportError:
-        raise SymsolError("predicting needs torch: `pip install 'symsol-annot[bench]'`") from None
+    check_extra("bench", "predicting")
+    from symsol_annot.bench import checkpoints, devices, inference  # noqa: PLC0415 - slow to import
+
     chosen = devices.choose_device(device)
     model = checkpoints.open_checkpoint(checkpoint)
-    with dataset.load(find_set(data, model.about.object), split) as images:
+    with dataset.load(find_set(data, model.record.object), split) as images:
         track = inference.predict(model, images, out, chosen, method=method, level=level)
     click.echo(
         f"{out}: {track} about {len(images)} images of {images.object}\nNext:\n  symsol-annot score {out} --data {data}"

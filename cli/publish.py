@@ -1,11 +1,12 @@
 """`symsol-annot publish`: make what a host of data sets needs."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 from symsol_annot_cli.parameters import SET_FOLDER, example, progress_bar
 
-from symsol_annot.errors import SymsolError
+from symsol_annot.extras import check_extra
 
 
 @click.command(epilog=example("symsol-annot publish data --out bundle"))
@@ -22,15 +23,15 @@ def publish(folder: Path, out: Path, authors: tuple[str, ...], **texts: str | No
     DATA is a set like data/cylO, or a folder of sets like data. The sets are verified first. Shards are hard links
     where the file system allows. The same command goes on where it was stopped.
     """
-    try:
-        from symsol_annot.publish import publication  # noqa: PLC0415 - needs pyarrow
-    except ImportError:
-        raise SymsolError("publishing needs pyarrow: `pip install 'symsol-annot[publish]'`") from None
+    check_extra("publish", "publishing")
+    from symsol_annot.publish import publication  # noqa: PLC0415 - needs pyarrow
     from symsol_annot.publish.about import About  # noqa: PLC0415
     from symsol_annot.publish.sets import sets_in  # noqa: PLC0415
 
-    given = {name: value for name, value in {"authors": authors, **texts}.items() if value}
-    about = About(**given)  # type: ignore[arg-type]
+    given: dict[str, Any] = {name: text for name, text in texts.items() if text is not None}
+    if authors:
+        given["authors"] = authors
+    about = About(**given)
     sets = sets_in(folder)
     shards = sum(len(published.manifest.shards) for published in sets)
     with progress_bar(2 * shards, "shard") as bar:  # verified, then published

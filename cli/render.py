@@ -5,13 +5,14 @@ from pathlib import Path
 from shlex import quote
 
 import click
-from symsol_annot_cli.parameters import ObjectType, cores, example
+from symsol_annot_cli.parameters import ObjectType, example
 from symsol_annot_cli.reporting import LOG_FORMATS, Tally, failures_in_words, reporter
 
 from symsol_annot.blender_process import check_blender_installed
-from symsol_annot.errors import ClusterError
 from symsol_annot.executors import OpenExecutor, local_processes
+from symsol_annot.extras import check_extra
 from symsol_annot.generate import generate
+from symsol_annot.machine import cores
 from symsol_annot.manifest import SPLITS, Manifest
 from symsol_annot.object_check import check_object
 from symsol_annot.objects import ObjectSpec
@@ -131,12 +132,9 @@ def _executor(
     if cluster is None and scheduler_file is None:
         check_blender_installed()
         return partial(local_processes, workers=workers or cores(), limits=limits, exhaustive=exhaustive)
-    try:
-        from symsol_annot.cluster import DaskCluster, address_in  # noqa: PLC0415 - an extra, slow to import
-    except ImportError:
-        raise ClusterError(
-            "a cluster needs Dask, which is not installed: `pip install 'symsol-annot[cluster]'`"
-        ) from None
+    check_extra("cluster", "a cluster")
+    from symsol_annot.cluster import DaskCluster, address_in  # noqa: PLC0415 - an extra, slow to import
+
     address = cluster or address_in(scheduler_file or Path())
     return partial(DaskCluster, address=address, limits=limits, exhaustive=exhaustive)
 

@@ -13,11 +13,12 @@ from tqdm import tqdm
 from symsol_annot import dataset
 from symsol_annot.bench.recipe import builtin_recipes, load_recipe
 from symsol_annot.bench.truth import find_set
-from symsol_annot.errors import DataError, SymsolError
-from symsol_annot.manifest import MANIFEST_NAME
+from symsol_annot.errors import DataError
+from symsol_annot.extras import check_extra
+from symsol_annot.set_folders import set_folders
 
 if TYPE_CHECKING:
-    from symsol_annot.bench.checkpoints import About
+    from symsol_annot.bench.checkpoints import TrainingRecord
 
 
 def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  # noqa: FBT001 - as click calls it
@@ -36,7 +37,9 @@ def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  
 @click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, cuda:1 ..")
 @click.option("--epochs", type=click.IntRange(min=1), help="More or fewer; the schedule is stretched.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True)
-@click.option("--held-out", type=click.IntRange(min=0), help="How many train images are evaluated, not learnt.")
+@click.option(
+    "--validation-images", type=click.IntRange(min=0), help="How many train images are evaluated, not learnt."
+)
 @click.option(
     "--pretrained",
     type=click.Path(path_type=Path),
@@ -52,7 +55,7 @@ def train(
     device: str,
     epochs: int | None,
     seed: int,
-    held_out: int | None,
+    validation_images: int | None,
     pretrained: tuple[Path, ...],
     *,
     is_compiled: bool,
@@ -61,21 +64,20 @@ def train(
 
     RECIPE is a built-in one (--list) or a TOML file. The same command again goes on where it stopped.
     """
+    check_extra("bench", "training")
     file = load_recipe(recipe)
     with dataset.load(_set_in(data, object_name), "train") as images:
         if object_name not in (None, images.object):
             raise DataError(f"{images.folder}: is a set of {images.object}, not of {object_name}")
         wanted = file.for_object(images.object, has_marking=images.has_marking)
-        if held_out is not None:
-            wanted = replace(wanted, held_out=held_out)
+        if validation_images is not None:
+            wanted = replace(wanted, validation_images=validation_images)
         place = out or Path("runs") / f"{images.object}-{file.name}"
-        try:
-            from symsol_annot.bench import training  # noqa: PLC0415 - slow to import
-        except ImportError:
-            raise SymsolError("training needs torch: `pip install 'symsol-annot[bench]'`") from None
+        from symsol_annot.bench import training  # noqa: PLC0415 - slow to import
+
         options = training.Options(epochs, seed, device, pretrained, is_compiled)
         with _Progress(place) as progress:
-            about = training.train(
+            record = training.train(
                 wanted,
                 images,
                 place,
@@ -86,7 +88,7 @@ def train(
                 on_epoch=progress.tell,
             )
     click.echo(
-        f"{place}: {about.epochs_done} epochs of {about.epochs}\nNext:\n  symsol-annot predict {place} --data {data}"
+        f"{place}: {record.epochs_done} epochs of {record.epochs}\nNext:\n  symsol-annot predict {place} --data {data}"
     )
 
 
@@ -94,9 +96,7 @@ def _set_in(data: Path, object_name: str | None) -> Path:
     """Return the folder of the set that is meant: of an object, or the only one there is."""
     if object_name:
         return find_set(data, object_name)
-    if (data / MANIFEST_NAME).is_file():
-        return data
-    there = sorted(path.parent for path in data.glob(f"*/{MANIFEST_NAME}"))
+    there = set_folders(data)
     if len(there) != 1:
         found = f"several: {', '.join(path.name for path in there)}; --object names one" if there else "none"
         raise DataError(f"{data}: expected a set to train on, found {found}")
@@ -110,24 +110,24 @@ class _Progress:
         self._place = place
         self._bar: tqdm[None] | None = None
 
-    def begin(self, about: "About", images_an_epoch: int) -> None:
+    def begin(self, record: "TrainingRecord", images_an_epoch: int) -> None:
         """Show what is there already."""
-        self._bar = progress_bar(about.epochs * images_an_epoch, "image", done=about.epochs_done * images_an_epoch)
+        self._bar = progress_bar(record.epochs * images_an_epoch, "image", done=record.epochs_done * images_an_epoch)
         self._bar.set_description(self._place.name)
-        if about.epochs_done:
-            _say(f"goes on after epoch {about.epochs_done} of {about.epochs}")
+        if record.epochs_done:
+            _say(f"goes on after epoch {record.epochs_done} of {record.epochs}")
 
     def advance(self, images: int) -> None:
         """Count images."""
         if self._bar:
             self._bar.update(images)
 
-    def tell(self, about: "About") -> None:
+    def tell(self, record: "TrainingRecord") -> None:
         """Show the epoch that is finished."""
-        row = dict(about.rows[-1])
+        row = dict(record.rows[-1])
         epoch = int(row.pop("epoch"))
         figures = ", ".join(f"{name} {value:.4g}" for name, value in row.items())
-        _say(f"epoch {epoch}/{about.epochs}: {figures}")
+        _say(f"epoch {epoch}/{record.epochs}: {figures}")
 
     def __enter__(self) -> Self:
         return self

@@ -6,20 +6,21 @@ from pathlib import Path
 
 import click
 import numpy as np
-from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, cores, example, progress_bar
+from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example, progress_bar
 from symsol_annot_cli.reporting import failures_in_words, reporter
 
 from symsol_annot import dataset
 from symsol_annot.audit import AuditReport, audit
 from symsol_annot.blender_process import check_blender_installed
-from symsol_annot.errors import DataError, UnknownObjectError
+from symsol_annot.errors import DataError
 from symsol_annot.executors import local_processes
 from symsol_annot.generate import damaged_shards, generate
-from symsol_annot.manifest import Manifest, read_manifest
-from symsol_annot.objects import ObjectSpec, load_object
-from symsol_annot.plan import SetPlan
+from symsol_annot.machine import cores
+from symsol_annot.manifest import read_manifest
+from symsol_annot.objects import ObjectSpec
+from symsol_annot.origin import plan_behind
 from symsol_annot.render_process import RenderProcess
-from symsol_annot.scene import Camera, RenderSettings
+from symsol_annot.set_folders import set_folders
 from symsol_annot.verify import verify as find_faults
 
 
@@ -39,7 +40,7 @@ def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int
     shards that are not as the manifest says are made again; they must then have its checksums.
     """
     faults = []
-    sets = _sets_in(folder)
+    sets = set_folders(folder) or [folder]
     for set_folder in sets:
         try:
             if repair:
@@ -54,16 +55,6 @@ def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int
             found = [str(error)]
         faults += found
     sys.exit(1 if faults else 0)
-
-
-def _sets_in(folder: Path) -> list[Path]:
-    """Return the folder itself, or the folders in it that hold a manifest or shards."""
-    try:
-        files = [*folder.glob("*/manifest.json"), *folder.glob("*/*.h5")]
-        is_set = (folder / "manifest.json").exists()
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
-    return sorted({path.parent for path in files}) if files and not is_set else [folder]
 
 
 def _verify_set(folder: Path) -> list[str]:
@@ -86,9 +77,8 @@ def _repair_set(folder: Path, given: ObjectSpec | None) -> None:
         click.echo(f"{folder}: nothing to repair")
         return
     check_blender_installed()
-    spec = _object_of(folder, manifest, given)
-    plan, open_executor = SetPlan.of(manifest, spec), partial(local_processes, workers=cores())
-    with reporter("text", spec.name) as report:
+    plan, open_executor = plan_behind(folder, manifest, given), partial(local_processes, workers=cores())
+    with reporter("text", plan.spec.name) as report:
         generate(plan, folder, open_executor, report, repair=True)
     click.echo("\n".join([f"{folder}: made again: {', '.join(todo)}", *failures_in_words(report.tally)]))
 
@@ -100,34 +90,12 @@ def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.rando
     )
     if split is None:
         raise DataError(f"{folder}: has no split with symmetry sets, so there is nothing to audit")
-    spec = _object_of(folder, manifest, given)
-    with _renderer(manifest, spec) as renderer, progress_bar(count, "image") as bar:
-        report = audit(dataset.load(folder, split), spec, renderer, count, rng, bar.update)
+    plan = plan_behind(folder, manifest, given)
+    renderer = RenderProcess(plan.spec, plan.camera, plan.settings)
+    with renderer, progress_bar(count, "image") as bar:
+        report = audit(dataset.load(folder, split), plan.spec, renderer, count, rng, bar.update)
     _print_report(folder, report)
     return report.faults
-
-
-def _object_of(folder: Path, manifest: Manifest, given: ObjectSpec | None) -> ObjectSpec:
-    name = manifest.recipe["object"]
-    if manifest.is_imported:
-        raise DataError(
-            f"{folder}: was imported, so it cannot be drawn again; `symsol-annot import-symsol` makes it anew"
-        )
-    try:
-        spec = given if given and given.name == name else load_object(name)
-    except UnknownObjectError:
-        raise DataError(f"{folder}: its object {name!r} is not built in; give its folder with --object") from None
-    if spec.digest != manifest.recipe["object_sha256"]:
-        raise DataError(
-            f"{folder}: was made from another {spec.name} than the one here (their digests differ); "
-            "give the object's folder with --object"
-        )
-    return spec
-
-
-def _renderer(manifest: Manifest, spec: ObjectSpec) -> RenderProcess:
-    recipe = manifest.recipe
-    return RenderProcess(spec, Camera(**recipe["camera"]), RenderSettings.from_dict(recipe["render"]))
 
 
 def _print_report(folder: Path, report: AuditReport) -> None:

@@ -1,7 +1,8 @@
 """Makes docs/results/leaderboard/small: .venv/bin/python docs/baselines.py FOLDER [--only STEP] [--object NAME].
 
 Renders, trains, predicts and scores the small tier in FOLDER, by the commands that the results then name. The same
-command goes on where it stopped. With OMP_NUM_THREADS=1 two objects may be trained at once, one on each core.
+command goes on where it stopped. Notes that somebody wrote into a result's file are kept. With OMP_NUM_THREADS=1 two
+objects may be trained at once, one on each core.
 """
 
 import argparse
@@ -9,16 +10,22 @@ import datetime as dt
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 from symsol_annot import __version__
-from symsol_annot.bench.checkpoints import WEIGHTS, read_about
+from symsol_annot.bench.checkpoints import WEIGHTS, read_record
 from symsol_annot.bench.leaderboard import SET
 from symsol_annot.bench.recipe import load_recipe
 from symsol_annot.dataset import load
 
 OBJECTS = ("cylO", "tetX")
-RECIPES = ("wta", "rwta", "ewta", "classifier", "classifier-no-encoding", "classifier-no-pretraining")
+RECIPES = {  # with the objects that they are trained on
+    **dict.fromkeys(("small-wta", "small-rwta", "small-ewta", "small-classifier"), OBJECTS),
+    **dict.fromkeys(("small-classifier-no-encoding", "small-classifier-no-pretraining"), OBJECTS),
+    "small-classifier-k1024": OBJECTS,
+    **dict.fromkeys(("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer"), ("tetX",)),
+}
 PLACE = Path(__file__).resolve().parent / "results" / "leaderboard" / "small"
 
 
@@ -40,8 +47,8 @@ def predict_command(recipe, name):
 
 
 def score_command(recipe):
-    """Return the words that score both objects."""
-    files = [f"{name}-{recipe}.h5" for name in OBJECTS]
+    """Return the words that score a recipe's predictions."""
+    files = [f"{name}-{recipe}.h5" for name in RECIPES[recipe]]
     return ["symsol-annot", "score", *files, "--data", "small", "--json", f"{recipe}.json"]
 
 
@@ -53,35 +60,40 @@ def main():
     parser.add_argument("--object", choices=OBJECTS)
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    objects = [options.object] if options.object else OBJECTS
-    recipes = [f"small-{name}" for name in RECIPES]
-
-    def run(words):
-        print("$", " ".join(words), flush=True)
-        subprocess.run([Path(sys.executable).with_name(words[0]), *words[1:]], cwd=options.folder, check=True)
-
-    for name in objects:
+    for name in [options.object] if options.object else OBJECTS:
         if options.only in (None, "render"):
-            run(render_command(name))
+            run(options.folder, render_command(name))
         if options.only in (None, "train"):
-            for recipe in recipes:
-                run(train_command(recipe, name))
+            for recipe in (recipe for recipe, names in RECIPES.items() if name in names):
+                run(options.folder, train_command(recipe, name))
     if options.only in (None, "score"):
-        for recipe in recipes:
-            for name in OBJECTS:
-                if not (options.folder / f"{name}-{recipe}.h5").exists():
-                    run(predict_command(recipe, name))
-            run(score_command(recipe))
-            (PLACE / f"{recipe}.json").write_bytes((options.folder / f"{recipe}.json").read_bytes())
-            (PLACE / f"{recipe}.toml").write_text(result(recipe, options.folder))
+        for recipe, names in RECIPES.items():
+            score(options.folder, recipe, names)
         (PLACE / SET).write_text(image_set(options.folder))
+
+
+def run(folder, words):
+    """Run a command in a folder, and show it."""
+    print("$", " ".join(words), flush=True)
+    subprocess.run([Path(sys.executable).with_name(words[0]), *words[1:]], cwd=folder, check=True)
+
+
+def score(folder, recipe, names):
+    """Predict what is not predicted yet, score it, and write the result's files."""
+    for name in names:
+        if not (folder / f"{name}-{recipe}.h5").exists():
+            run(folder, predict_command(recipe, name))
+    run(folder, score_command(recipe))
+    (PLACE / f"{recipe}.json").write_bytes((folder / f"{recipe}.json").read_bytes())
+    (PLACE / f"{recipe}.toml").write_text(result(recipe, folder))
 
 
 def result(recipe, folder):
     """Return the result's TOML, from what the checkpoints say of their trainings."""
-    abouts = {name: read_about(folder / "runs" / f"{name}-{recipe}" / WEIGHTS) for name in OBJECTS}
-    words = [f(recipe, name) for name in OBJECTS for f in (train_command, predict_command)]
-    first = abouts[OBJECTS[0]]
+    names = RECIPES[recipe]
+    records = {name: read_record(folder / "runs" / f"{name}-{recipe}" / WEIGHTS) for name in names}
+    words = [f(recipe, name) for name in names for f in (train_command, predict_command)]
+    first = records[names[0]]
     head = {
         "title": load_recipe(recipe).title.partition(", small")[0],
         "by": f"symsol-annot {__version__}",
@@ -90,18 +102,24 @@ def result(recipe, folder):
         "commands": [" ".join(command) for command in (*words, score_command(recipe))],
     }
     lines = [f"{key} = {json.dumps(value, indent=4)}" for key, value in head.items()]
-    lines.append(f"date = {dt.datetime.now(tz=dt.UTC).date()}")
-    for name, about in abouts.items():
-        seconds = {what: sum(row[what] for row in about.rows) for what in ("seconds", "processor_seconds")}
-        began = about.first_stage.partition(", sha256")[0]
+    lines += [*notes_of(PLACE / f"{recipe}.toml"), f"date = {dt.datetime.now(tz=dt.UTC).date()}"]
+    for name, record in records.items():
+        seconds = {what: sum(row[what] for row in record.rows) for what in ("seconds", "processor_seconds")}
+        began = record.first_stage.partition(", sha256")[0]
         lines += [
             f"\n[objects.{name}]",
-            f"seed = {about.seed}",
+            f"seed = {record.seed}",
             f"minutes = {seconds['seconds'] / 60:.1f}",
             f"processor_minutes = {seconds['processor_seconds'] / 60:.1f}",
             f"first_stage = {json.dumps(began)}",
         ]
     return "\n".join(lines) + "\n"
+
+
+def notes_of(path):
+    """Return the line of notes that a TOML file has; none where there is no file or none in it."""
+    known = tomllib.loads(path.read_text()) if path.exists() else {}
+    return [f"notes = {json.dumps(known['notes'], ensure_ascii=False)}"] if "notes" in known else []
 
 
 def image_set(folder):
@@ -112,6 +130,7 @@ def image_set(folder):
         'split = "test"',
         f"images = {len(tests[OBJECTS[0]])}",
         f"commands = {json.dumps([' '.join(render_command(name)) for name in OBJECTS], indent=4)}",
+        *notes_of(PLACE / SET),
         "\n[fingerprints]",
         *(f'{name} = "{test.fingerprint}"' for name, test in tests.items()),
     ]

@@ -8,7 +8,7 @@ from matplotlib import pyplot as plt
 from matplotlib.patches import Rectangle
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from symsol_annot.annotate import annotate, marking_pixels
+from symsol_annot.annotate import annotate, coset_marking_px
 from symsol_annot.objects import load_object
 from symsol_annot.plan import label_rotation
 from symsol_annot.render_process import RenderProcess
@@ -110,7 +110,7 @@ def draw_rule(spec, renderer):
     figure, panels = plt.subplots(2, 7, figsize=(12, 4.4), layout="constrained")
     for row, (name, index) in enumerate({"shows": SHOWN, "hides": HIDDEN}.items()):
         R_gt = label_rotation(0, "cylO", "test", index)
-        pixels = marking_pixels(spec, R_gt, renderer.render(R_gt).marking_pixels, renderer)
+        pixels = coset_marking_px(spec, R_gt, renderer.render(R_gt).marking_pixels, renderer)
         mask = annotate(spec, R_gt, pixels, renderer).mask
         for axes, turn in zip(panels[row], turns, strict=False):
             axes.imshow(renderer.render(R_gt @ spec.symmetry_group[turn]).rgb)

@@ -17,5 +17,10 @@ for sample in samples:
     image = np.asarray(sample["image"])  # (H, W, 3) uint8; sample["image"] is a PIL image, as is "segmentation"
     rotation = np.array(sample["rotation"])  # (3, 3) float64, model to camera; not through with_format, which rounds
     marking = "shown" if sample["marking_visible"] else "not shown"
-    symmetry_set = rotation @ group[np.array(sample["symmetry_mask"])]  # (k, 3, 3); the mask is None without sets
-    print(f"{sample['index']}: mean {image.mean():.3f}, marking {marking}, {len(symmetry_set)} rotations")
+    mask = sample["symmetry_mask"]
+    if mask is None:  # a split without symmetry sets
+        found = "no symmetry set"
+    else:
+        symmetry_set = rotation @ group[np.array(mask)]  # (k, 3, 3)
+        found = f"{len(symmetry_set)} rotations"
+    print(f"{sample['index']}: mean {image.mean():.3f}, marking {marking}, {found}")

@@ -11,10 +11,15 @@ with h5py.File(sys.argv[1]) as shard:
     tolerance_px = shard.attrs["tolerance_px"]  # NaN without a marking: nothing is shown then
     print(shard.attrs["object"], shard.attrs["split"], "from image", shard.attrs["first_index"])
     group = shard["symmetry_group"][:]  # (G, 3, 3)
+    masks = shard.get("symmetry_mask")  # (N, G) bool; None in a split without symmetry sets
     for row in range(len(shard["image"])):
         image = shard["image"][row]  # (H, W, 3) uint8; "segmentation" is (H, W)
         rotation = shard["rotation"][row]  # (3, 3), model to camera
         shown = shard["marking_pixels"][row] >= tolerance_px
-        symmetry_set = rotation @ group[shard["symmetry_mask"][row]]  # (k, 3, 3); splits without sets have no mask
         marking = "shown" if shown else "not shown"
-        print(f"{row}: mean {image.mean():.3f}, marking {marking}, {len(symmetry_set)} rotations")
+        if masks is None:
+            found = "no symmetry set"
+        else:
+            symmetry_set = rotation @ group[masks[row]]  # (k, 3, 3)
+            found = f"{len(symmetry_set)} rotations"
+        print(f"{row}: mean {image.mean():.3f}, marking {marking}, {found}")

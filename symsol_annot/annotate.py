@@ -35,43 +35,43 @@ class Annotation:
     candidate_pixels: npt.NDArray[np.float64]
 
 
-def marking_pixels(
+def coset_marking_px(
     spec: ObjectSpec,
     R_gt: Rotations,
-    pixels: float,
+    image_px: float,
     renderer: Renderer,
     visibility: MarkingVisibility | None = None,
 ) -> float:
-    """Return the area in pixels by which an image shows its marking, on the side of T on which its coset is.
+    """Return the area in pixels by which an image's coset R_gt H shows the marking; a shard stores it.
 
-    That is the image's own area; but where it is below T and another rotation of the coset R_gt H reaches T, the
-    largest of the coset: a rasteriser can give one of them a sample more.
+    That is the image's own p(R_gt); but where it is below T and another rotation of the coset reaches T, the largest p
+    of the coset: a rasteriser can give one of them a sample more.
 
     Args:
         spec: the object.
         R_gt: (3, 3) the image's rotation.
-        pixels: p(R_gt), as the image shows it.
+        image_px: p(R_gt), as the image shows it (`View.marking_pixels`).
         renderer: draws other rotations of the coset.
         visibility: decides most of them without drawing.
     """
     others = R_gt @ spec.stabiliser[1:]
-    if spec.marking is None or is_shown(spec, pixels) or not len(others):
-        return pixels
+    if spec.marking is None or is_shown(spec, image_px) or not len(others):
+        return image_px
     if not is_shown(spec, _areas(spec, others, renderer, visibility)).any():
-        return pixels
+        return image_px
     return float(renderer.marking_pixels(others).max())
 
 
 def is_shown(spec: ObjectSpec, pixels: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Tell where an area p in pixels counts as shown: p >= T, never for a body without marking."""
-    tolerance_px = spec.marking.tolerance_px if spec.marking else np.inf
+    tolerance_px = np.inf if spec.tolerance_px is None else spec.tolerance_px
     return np.asarray(np.asarray(pixels) >= tolerance_px)
 
 
 def annotate(
     spec: ObjectSpec,
     R_gt: Rotations,
-    pixels: float,
+    coset_px: float,
     renderer: Renderer,
     visibility: MarkingVisibility | None = None,
 ) -> Annotation:
@@ -80,7 +80,7 @@ def annotate(
     Args:
         spec: the object.
         R_gt: (3, 3) the image's rotation.
-        pixels: by which the image shows its marking, from `marking_pixels`.
+        coset_px: by which its coset shows the marking, from `coset_marking_px`.
         renderer: draws the candidates, where the marking is hidden.
         visibility: decides most of them without drawing; the set is the same without it.
     """
@@ -88,8 +88,8 @@ def annotate(
     candidate_pixels = np.full(len(spec.symmetry_group), np.nan)
     if spec.marking is None:
         return Annotation(np.ones(len(spec.symmetry_group), dtype=bool), np.zeros_like(candidate_pixels))
-    candidate_pixels[cosets[0]] = pixels
-    if is_shown(spec, pixels):
+    candidate_pixels[cosets[0]] = coset_px
+    if is_shown(spec, coset_px):
         mask = np.zeros(len(candidate_pixels), dtype=bool)
         mask[cosets[0]] = True
         return Annotation(mask, candidate_pixels)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.annotate import is_shown, marking_pixels
+from symsol_annot.annotate import coset_marking_px, is_shown
 from symsol_annot.dataset import Dataset, Sample
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.objects import ObjectSpec
@@ -81,7 +81,7 @@ def _audit_image(
     report.faults += [f"image {sample.index}, drawn again at its own rotation: {what}" for what in found]
     for index in _chosen(sample, rng):
         drawn = _draw(sample.rotation @ spec.symmetry_group[index], spec, renderer)
-        report.within_tolerance += int(drawn.pixels > 0 and not drawn.shows)
+        report.within_tolerance += int(drawn.coset_px > 0 and not drawn.shows)
         if np.asarray(sample.symmetry_mask)[index]:
             report.members += 1
             found = [f"member {index} of its set: {what}" for what in _faults_of_member(stored, drawn)]
@@ -96,10 +96,10 @@ def _audit_image(
 
 @dataclass(frozen=True)
 class _Drawing:
-    """A view, p(R), and whether that counts as shown."""
+    """A view, by how much its coset shows the marking, and whether that counts as shown."""
 
     view: View
-    pixels: float
+    coset_px: float
     shows: bool
 
     @property
@@ -117,8 +117,8 @@ class _Drawing:
 
 def _draw(R_m2c: Rotations, spec: ObjectSpec, renderer: Renderer) -> _Drawing:
     view = renderer.render(R_m2c)
-    pixels = marking_pixels(spec, R_m2c, view.marking_pixels, renderer)
-    return _Drawing(view, pixels, bool(is_shown(spec, pixels)))
+    coset_px = coset_marking_px(spec, R_m2c, view.marking_pixels, renderer)
+    return _Drawing(view, coset_px, bool(is_shown(spec, coset_px)))
 
 
 def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
@@ -127,11 +127,11 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
     if drawn.shows != stored.shows:
         verbs = {True: "shows", False: "hides"}
         faults.append(
-            f"{verbs[drawn.shows]} the marking ({drawn.pixels:g} pixels), which the image {verbs[stored.shows]}"
+            f"{verbs[drawn.shows]} the marking ({drawn.coset_px:g} pixels), which the image {verbs[stored.shows]}"
         )
-    if drawn.pixels == 0 and drawn.trace.any():
+    if drawn.coset_px == 0 and drawn.trace.any():
         faults.append("hides the marking, yet its RGB carries a trace of the marking's colour")
-    below_tolerance = sum(0 if drawing.shows else drawing.pixels for drawing in (stored, drawn))
+    below_tolerance = sum(0 if drawing.shows else drawing.coset_px for drawing in (stored, drawn))
     allowed = EDGE_PIXELS + round(_SAMPLES_PER_PIXEL * below_tolerance)
     rgb = np.abs(stored.view.rgb.astype(np.int16) - drawn.view.rgb.astype(np.int16)).max(axis=-1) > RGB_LEVELS
     differing = {

@@ -7,14 +7,14 @@ whole process down, and is not thread-safe, so it lives in a process of its own.
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import bpy
 import numpy as np
 import numpy.typing as npt
 from PIL.SgiImagePlugin import SgiImageFile
 
+from symsol_annot.closing import Closing
 from symsol_annot.errors import RenderError
 from symsol_annot.frames import CornerLight, SampleIds, view_of
 from symsol_annot.mesh import Mesh
@@ -28,7 +28,7 @@ _CLIP_MARGIN = 1.5  # bounding-sphere radii in front of and behind the object's 
 _WINDOW_STEP = 8  # sides of windows are multiples of this many pixels: few sizes, few reallocations
 
 
-class BlenderRenderer:
+class BlenderRenderer(Closing):
     """Draws one mesh through one camera in this process, which it takes over: one at a time."""
 
     def __init__(self, mesh: Mesh, camera: Camera, settings: RenderSettings) -> None:
@@ -111,14 +111,6 @@ class BlenderRenderer:
     def close(self) -> None:
         """Let go of the frame's file."""
         self._frame.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _turn(self, R_m2c: Rotations) -> None:
         """Turn the object, and give its corners the colours that they have in the camera's light."""

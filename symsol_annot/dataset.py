@@ -12,13 +12,13 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, overload
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.chunks import HDF5_ERRORS, ByteFile, Rows, identity_of, whole
+from symsol_annot.closing import Closing
 from symsol_annot.errors import DataError, NotAnnotatedError, bulleted
 from symsol_annot.manifest import SPLITS, Manifest, read_manifest
 from symsol_annot.shards import header_mismatches, open_shard
@@ -36,7 +36,8 @@ class Sample:
         image: (H, W, 3) u8 RGB.
         segmentation: (H, W) u8: 0 background, 1 body, 2 marking. None in an imported set, which has none.
         rotation: (3, 3) f8, R_m2c, the rotation that the image was drawn at.
-        marking_pixels: the marking's visible area in pixels; 0 without a marking, NaN where an imported set has none.
+        marking_pixels: the marking's visible area in pixels, p(R_m2c); or the largest p of the coset R_m2c H, where
+            that reaches the object's tolerance and p(R_m2c) does not. 0 without a marking, NaN in an imported set.
         marking_visible: whether that is at least the object's tolerance; False without a marking, None in an imported
             set.
         symmetry_mask: (G,) bool over `symmetry_group`, or None where the split has no symmetry sets.
@@ -73,7 +74,7 @@ class Labels:
         rotation: (N, 3, 3) f8, R_m2c.
         symmetry_mask: (N, G) bool over `symmetry_group`.
         symmetry_group: (G, 3, 3) f8, the body's symmetries, identity first.
-        marking_pixels: (N,) f4, the marking's visible area in pixels; 0 without a marking, NaN in an imported set.
+        marking_pixels: (N,) f4, as `Sample.marking_pixels`.
         marking_visible: (N,) bool, whether that is at least the object's tolerance; False in an imported set, which has
             sets for bodies without marking alone.
     """
@@ -92,7 +93,7 @@ class Labels:
         return turned(self.rotation[row], self.symmetry_group[self.symmetry_mask[row]])
 
 
-class Dataset(Sequence[Sample]):
+class Dataset(Closing, Sequence[Sample]):
     """A split of a set as a sequence of samples, read when asked for.
 
     A shard is checked and its labels are read at its first use; after that an image costs one read and one inflating.
@@ -192,14 +193,6 @@ class Dataset(Sequence[Sample]):
         """Close the files; the next access opens them again."""
         self._open.clear()
         self._shards.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _opened(self, number: int) -> "tuple[_Shard, ByteFile]":
         """Return a shard and its open file; whatever other threads do meanwhile, both are good to read from."""

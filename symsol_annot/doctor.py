@@ -30,7 +30,6 @@ SYSTEM_LIBRARIES = {
     "libEGL_mesa.so.0": "libegl-mesa0",
 }
 _DRIVERS = "libgl1-mesa-dri"  # loaded by EGL from a path of its own, installed with what is missing
-BROWSER_PROGRAMS = {"chromium": "chromium", "chromedriver": "chromium-driver"}  # for the tests of the gallery
 _ENOUGH_DISK_BYTES = 5 * 2**30  # the seven published sets take less
 _PROBE_SIZE = 32
 
@@ -78,20 +77,16 @@ def install_command(packages: list[str]) -> str:
     return f"{sudo}apt-get update && {sudo}apt-get install -y --no-install-recommends {' '.join([*packages, _DRIVERS])}"
 
 
-def missing_browser_packages() -> list[str]:
-    """Return the Debian packages of the browser's programs that are not here."""
-    return [package for program, package in BROWSER_PROGRAMS.items() if shutil.which(program) is None]
+def install_missing_packages() -> list[str]:
+    """Install the system libraries that are missing, where this user may; return what is still missing."""
+    install(missing_packages())
+    return missing_packages()
 
 
-def install_missing_packages(*, browser: bool = False) -> list[str]:
-    """Install the system libraries that are missing, where this user may; return what is still missing.
-
-    With `browser`, also the browser that the tests of the gallery drive.
-    """
-    packages = [*missing_packages(), *(missing_browser_packages() if browser else [])]
+def install(packages: list[str]) -> None:
+    """Install Debian packages, where this user may."""
     if packages and shutil.which("apt-get") and _may_install():
         subprocess.run(install_command(packages), shell=True, check=False)  # noqa: S602 - our own words
-    return missing_packages()
 
 
 def _may_install() -> bool:

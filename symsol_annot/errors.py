@@ -13,6 +13,7 @@
     ├── ModelError              a model was given what it cannot take
     │   ├── WeightsError            its weights are missing, damaged or another model's
     │   └── TrainingError           it cannot be trained on: a loss that is not finite, no memory, another training
+    ├── MissingExtraError       a package is not installed that an extra brings
     ├── OutputError             a file cannot be written: permission, disk full
     └── RenderError             Blender cannot start, or stopped
         ├── RendererMissingError    something that Blender needs is not installed
@@ -34,6 +35,12 @@ def bulleted(lines: Sequence[str]) -> str:
 def count_of(faults: Sequence[str]) -> str:
     """Return how many they are, in words."""
     return "1 fault" if len(faults) == 1 else f"{len(faults)} faults"
+
+
+def first_of(names: Sequence[str], shown: int) -> str:
+    """Return the first of some names, and how many more there are."""
+    more = f" and {len(names) - shown} more" if len(names) > shown else ""
+    return ", ".join(names[:shown]) + more
 
 
 class SymsolError(Exception):
@@ -99,6 +106,14 @@ class WeightsError(ModelError):
 
 class TrainingError(ModelError):
     """Training cannot go on: a loss that is not finite, too little memory, a folder that holds another training."""
+
+
+class MissingExtraError(SymsolError, ImportError):
+    """A package is not installed; `extra` is what brings it."""
+
+    def __init__(self, what: str, package: str, extra: str) -> None:
+        super().__init__(f"{what} needs {package}, which is not installed: `pip install 'symsol-annot[{extra}]'`")
+        self.extra = extra
 
 
 class OutputError(SymsolError):

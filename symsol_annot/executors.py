@@ -6,11 +6,12 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import partial
 from threading import Lock
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
+from symsol_annot.closing import Closing
 from symsol_annot.errors import RendererCrashedError
 from symsol_annot.manifest import ShardEntry
 from symsol_annot.plan import SetPlan
@@ -20,7 +21,7 @@ from symsol_annot.shard_maker import MadeShard, OnImages, ShardMaker
 from symsol_annot.shard_process import DEFAULT_LIMITS, Limits, ShardProcess
 
 
-class Executor(Protocol):
+class Executor(AbstractContextManager["Executor"], Protocol):
     """Makes shards somewhere. As a context manager, it ends what it started."""
 
     def capacity(self) -> int:
@@ -35,12 +36,6 @@ class Executor(Protocol):
 
         The future raises RendererCrashedError where the worker was lost and another may do better.
         """
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 OpenExecutor = Callable[[SetPlan], Executor]
@@ -122,7 +117,7 @@ class MakerPool:
             maker.close()
 
 
-class ThreadedExecutor:
+class ThreadedExecutor(Closing):
     """Makes shards by makers on this machine, with a thread to wait for each."""
 
     def __init__(self, open_maker: Callable[[], Maker], workers: int) -> None:
@@ -138,12 +133,8 @@ class ThreadedExecutor:
         """Begin a shard, once a worker is free."""
         return self._threads.submit(self._makers.make, entry, on_images)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """End all makers and the threads that wait for them."""
         self._makers.close()
         self._threads.shutdown(cancel_futures=True)
 

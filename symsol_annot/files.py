@@ -1,19 +1,78 @@
-"""Writing files so that a reader never sees half of one."""
+"""Writing files and folders so that a reader never sees half of one."""
 
 import contextlib
 import errno
 import hashlib
 import os
-import sys
+import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from symsol_annot.errors import OutputError
 
-if sys.platform != "win32":
-    import fcntl
-
 PARTIAL_SUFFIX = ".partial"
+
+
+@contextlib.contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Give a name beside a file's own; what is written there takes the file's place, or goes at an error or Ctrl-C.
+
+    Whoever writes sees to it that the bytes reached the disk (`os.fsync`).
+
+    Raises:
+        OutputError: the disk is full or the folder not writable.
+    """
+    partial = _beside(path, PARTIAL_SUFFIX)
+    with output_errors(path):
+        partial.unlink(missing_ok=True)  # a killed run's, or a link to elsewhere
+        try:
+            yield partial
+            partial.replace(path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                partial.unlink()
+            raise
+
+
+@contextlib.contextmanager
+def new_folder(path: Path, writer: str = "") -> Iterator[Path]:
+    """Give an empty folder beside a name, which it gets once it is whole; at an error or Ctrl-C it goes.
+
+    Args:
+        path: where nothing is, or an empty folder.
+        writer: tells apart those who may write this folder at the same time, where none of them holds a lock.
+
+    Raises:
+        OutputError: the disk is full or the folder around it not writable, or something was put there meanwhile.
+    """
+    partial = _beside(path, f"{writer}{PARTIAL_SUFFIX}")
+    with output_errors(path):
+        if partial.exists():  # a killed run left it
+            shutil.rmtree(partial)
+        try:
+            partial.mkdir()
+            yield partial
+            if path.exists():
+                path.rmdir()
+            partial.rename(path)
+        except BaseException:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
+
+
+@contextlib.contextmanager
+def replaced_folder(path: Path, writer: str = "") -> Iterator[Path]:
+    """Give the same beside a folder that may hold something, which is removed once the new one is whole."""
+    before = _beside(path, f"{writer}.before")
+    try:
+        with new_folder(path, writer) as partial:
+            yield partial
+            if path.exists():
+                path.rename(before)
+    finally:
+        if before.exists() and not path.exists():
+            before.rename(path)
+        shutil.rmtree(before, ignore_errors=True)
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -22,19 +81,11 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises:
         OutputError: the disk is full or the folder not writable; nothing is left beside the name.
     """
-    partial = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
+    with replaced(path) as partial, partial.open("xb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
     with output_errors(path):
-        try:
-            partial.unlink(missing_ok=True)  # it may be a link to elsewhere
-            with partial.open("xb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                partial.unlink()
-            raise
         _sync_folder(path.parent)
 
 
@@ -48,74 +99,6 @@ def file_sha256(path: Path) -> str:
         raise OSError(errno.EINVAL, "is no regular file")
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder for this process alone; the lock ends with the process and leaves no file.
-
-    A file system without such locks (some network ones) lets everybody in; two processes then make the same bytes.
-
-    Raises:
-        OutputError: another process holds it, or it cannot be opened.
-    """
-    if sys.platform == "win32":  # has no such lock
-        yield
-        return
-    with output_errors(folder):
-        descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        if not try_lock(descriptor):
-            raise OutputError(
-                f"{folder}: another process{_lock_holder(descriptor)} is writing there right now; wait for it, or "
-                "choose another folder with --out"
-            )
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def try_lock(descriptor: int) -> bool:
-    """Lock an open file or folder until it is closed; False where somebody else holds it."""
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:  # this file system has no locks
-        return True
-    return True
-
-
-def _lock_holder(descriptor: int) -> str:
-    """Say which process on this machine has locked an open folder, where the system tells (Linux)."""
-    status = os.fstat(descriptor)
-    wanted = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
-    with contextlib.suppress(OSError, ValueError):
-        for line in Path("/proc/locks").read_text().splitlines():
-            words = line.split()  # number, kind, mode, access, process, device:device:inode, start, end
-            if words[1] == "FLOCK" and words[5] == wanted and int(words[4]) > 0:
-                command = Path(f"/proc/{words[4]}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-                return f" ({words[4]}: {command.strip()[:120]})"
-    return ""
-
-
-@contextlib.contextmanager
-def held_folder(path: Path) -> Iterator[None]:
-    """Hold a folder for this process alone, made where it is missing and removed again where nothing was put in it.
-
-    Raises:
-        OutputError: it cannot be made, or another process holds it.
-    """
-    with output_errors(path):
-        made = [folder for folder in (path, *path.parents) if not folder.exists()]
-        path.mkdir(parents=True, exist_ok=True)
-    try:
-        with locked(path):
-            yield
-    finally:
-        with contextlib.suppress(OSError):  # it holds something
-            for folder in made:
-                folder.rmdir()
 
 
 def make_folder(path: Path) -> None:
@@ -172,6 +155,10 @@ def output_errors(path: Path) -> Iterator[None]:
             errno.EEXIST: "is a file, not a folder: choose another folder with --out",
         }.get(error.errno or 0, error.strerror or str(error))
         raise OutputError(f"{path}: cannot be written: {advice}") from None
+
+
+def _beside(path: Path, suffix: str) -> Path:
+    return path.with_name(f".{path.name}{suffix}")
 
 
 def _sync_folder(folder: Path) -> None:

@@ -112,10 +112,14 @@ def pixel_averages(samples: Bytes, n: int) -> Bytes:
     return np.ascontiguousarray((sums + 2 * n * n) // (4 * n * n), dtype=np.uint8)
 
 
+def srgb(linear: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return linear colours in [0, 1] as sRGB in [0, 1] (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
 def srgb_bytes(linear: npt.NDArray[np.float64]) -> Bytes:
-    """Return linear colours in [0, 1] as sRGB in 8 bits (IEC 61966-2-1)."""
-    srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
-    return np.asarray(np.floor(255.0 * np.clip(srgb, 0.0, 1.0) + 0.5).astype(np.uint8))
+    """Return linear colours, clipped to [0, 1], as sRGB in 8 bits."""
+    return np.asarray(np.floor(255.0 * np.clip(srgb(linear), 0.0, 1.0) + 0.5).astype(np.uint8))
 
 
 def _twice_trapezoids(values: npt.NDArray[np.uint16], n: int) -> npt.NDArray[np.uint16]:

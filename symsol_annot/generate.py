@@ -28,12 +28,12 @@ from symsol_annot.executors import Executor, OpenExecutor
 from symsol_annot.files import (
     check_inside,
     file_sha256,
-    held_folder,
     make_folder,
     output_errors,
     remove_partial_files,
     write_atomically,
 )
+from symsol_annot.locks import held_folder
 from symsol_annot.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, write_manifest
 from symsol_annot.plan import SetPlan
 from symsol_annot.shard_maker import MadeShard

@@ -15,6 +15,7 @@ from typing import Any
 from symsol_annot.errors import DataError, SettingsError
 from symsol_annot.files import write_atomically
 from symsol_annot.scene import Camera, RenderSettings
+from symsol_annot.shard_header import UNKNOWN_WHERE_IMPORTED, ShardHeader, shard_file_name
 
 MANIFEST_NAME = "manifest.json"
 MANIFEST_FORMAT = "symsol-annot set"
@@ -29,7 +30,6 @@ _RECIPE_TYPES: dict[str, Any] = {
     "tolerance_px": float | None,
     "annotate": str,
 }
-_UNKNOWN_WHERE_IMPORTED = ("object_sha256", "seed", "render", "tolerance_px")  # null
 _ENTRY_TYPES: dict[str, Any] = {
     "first_index": int,
     "images": int,
@@ -117,25 +117,30 @@ class Manifest:
         """Tell whether a split carries symmetry sets."""
         return self.recipe["annotate"] in ("all", split)
 
+    def header(self, entry: ShardEntry, versions: dict[str, str]) -> ShardHeader:
+        """Return what a shard of this set says of itself, made with such software."""
+        recipe = self.recipe
+        tolerance_px = recipe["tolerance_px"]
+        if tolerance_px is None and not self.is_imported:
+            tolerance_px = math.nan
+        return ShardHeader(
+            object=recipe["object"],
+            object_sha256=recipe["object_sha256"],
+            split=entry.split,
+            first_index=entry.first_index,
+            seed=recipe["seed"],
+            camera=recipe["camera"],
+            render=recipe["render"],
+            tolerance_px=tolerance_px,
+            versions=versions,
+            source=recipe.get("source"),
+        )
+
     def expected_attributes(self, entry: ShardEntry) -> dict[str, Any]:
         """Return the attributes that a shard of this set carries, but for the software's versions."""
-        recipe = self.recipe
-        known = {
-            "object": recipe["object"],
-            "split": entry.split,
-            "first_index": entry.first_index,
-            "camera": json.dumps(recipe["camera"], sort_keys=True),
-        }
-        if self.is_imported:
-            return {**known, "source": json.dumps(recipe["source"], sort_keys=True)}
-        return {
-            **known,
-            "object_sha256": recipe["object_sha256"],
-            "seed": recipe["seed"],
-            "render": json.dumps(recipe["render"], sort_keys=True),
-            "engine": recipe["render"]["engine"],
-            "tolerance_px": math.nan if recipe["tolerance_px"] is None else recipe["tolerance_px"],
-        }
+        attributes = self.header(entry, versions={}).to_attributes()
+        del attributes["versions"]
+        return attributes
 
     def with_finished(self, entry: ShardEntry) -> "Manifest":
         """Return the manifest with one shard's entry replaced."""
@@ -260,7 +265,7 @@ def _check_types(manifest: Manifest) -> None:
     Camera(**recipe["camera"])
     expected = dict(_RECIPE_TYPES)
     if manifest.is_imported:
-        expected |= {"source": dict, **dict.fromkeys(_UNKNOWN_WHERE_IMPORTED, NoneType)}
+        expected |= {"source": dict, **dict.fromkeys(UNKNOWN_WHERE_IMPORTED, NoneType)}
     else:
         RenderSettings.from_dict(recipe["render"])
     fields = [(recipe[name], types) for name, types in expected.items()]
@@ -270,7 +275,7 @@ def _check_types(manifest: Manifest) -> None:
     for split in SPLITS:
         following, shards = 0, manifest.of_split(split)
         for number, shard in enumerate(shards):
-            name = f"{split}-{number:05d}-of-{len(shards):05d}.h5"
+            name = shard_file_name(split, number, len(shards))
             if shard.file != name or shard.first_index != following or shard.images < 1:
                 raise ValueError(f"{shard.file!r} does not follow on the shard before it")
             following += shard.images

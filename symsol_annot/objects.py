@@ -65,6 +65,11 @@ class ObjectSpec:
         """The (H, 3, 3) rotations that map body and marking onto themselves; all of C without a marking."""
         return self.symmetry_group if self.marking is None else self.marking.stabiliser
 
+    @property
+    def tolerance_px(self) -> float | None:
+        """T, the area from which the marking counts as shown; None without a marking, which shows nowhere."""
+        return None if self.marking is None else self.marking.tolerance_px
+
     @cached_property
     def cosets(self) -> npt.NDArray[np.intp]:
         """The (G / H, H) indices into `symmetry_group` of the stabiliser's left cosets; row 0 is the stabiliser."""

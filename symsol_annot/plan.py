@@ -10,6 +10,7 @@ from symsol_annot.errors import SettingsError
 from symsol_annot.manifest import SPLITS, Manifest, ShardEntry
 from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import Camera, RenderSettings
+from symsol_annot.shard_header import shard_file_name
 from symsol_annot.so3 import Rotations, uniform_rotations
 
 ANNOTATE_CHOICES = ("all", "test", "none")
@@ -67,7 +68,7 @@ class SetPlan:
             "seed": self.seed,
             "camera": self.camera.to_dict(),
             "render": self.settings.to_dict(),
-            "tolerance_px": self.spec.marking.tolerance_px if self.spec.marking else None,
+            "tolerance_px": self.spec.tolerance_px,
             "annotate": self.annotate,
         }
         return Manifest(recipe, division_into_shards(self.images, self.camera.width * self.camera.height))
@@ -85,8 +86,7 @@ def _shards(split: str, images: int, fitting: int) -> Iterator[ShardEntry]:
     shards = -(-images // per_shard)
     for number in range(shards):
         first = number * per_shard
-        name = f"{split}-{number:05d}-of-{shards:05d}.h5"
-        yield ShardEntry(name, split, first, min(per_shard, images - first))
+        yield ShardEntry(shard_file_name(split, number, shards), split, first, min(per_shard, images - first))
 
 
 def label_rotation(seed: int, object_name: str, split: str, index: int) -> Rotations:

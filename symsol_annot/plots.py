@@ -26,7 +26,7 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
 
     Raises:
         OutputError: the file cannot be written.
-        SymsolError: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     rows = -(-len(samples) // columns)
     figure = new_figure(figsize=(3 * _COLUMN_INCHES * columns, (_COLUMN_INCHES + 0.3) * rows), layout="constrained")

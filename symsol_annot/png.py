@@ -9,7 +9,7 @@ from zlib_ng import zlib_ng
 
 from symsol_annot.chunks import GZIP_LEVEL
 
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY, _RGB, _PALETTE = 0, 2, 3
 _BITS = 8
 
@@ -30,7 +30,7 @@ def to_png(pixels: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8] | None 
     rows = np.zeros((height, 1 + pixels[0].size), np.uint8)  # a row's first byte is its filter
     rows[:, 1:] = pixels.reshape(height, -1)
     data = _chunk(b"IDAT", zlib_ng.compress(rows, GZIP_LEVEL))
-    return _SIGNATURE + _chunk(b"IHDR", header) + colours + data + _chunk(b"IEND", b"")
+    return PNG_SIGNATURE + _chunk(b"IHDR", header) + colours + data + _chunk(b"IEND", b"")
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

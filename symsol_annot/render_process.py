@@ -1,12 +1,12 @@
 """A Renderer in a process of its own, asked for one view or one batch of counts at a time."""
 
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.blender_process import SILENCE_S, Answer, BlenderProcess, open_blender, serve
+from symsol_annot.closing import Closing
 from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import Camera, RenderSettings, View
 from symsol_annot.so3 import Rotations, check_rotations
@@ -14,7 +14,7 @@ from symsol_annot.so3 import Rotations, check_rotations
 COUNTS_PER_REQUEST = 90  # rotations counted between two looks at the parent
 
 
-class RenderProcess:
+class RenderProcess(Closing):
     """Draws one object through one camera, in a Blender process that it starts and ends.
 
     Raises:
@@ -55,14 +55,6 @@ class RenderProcess:
     def close(self) -> None:
         """End the process, whatever it is doing; a request under way in another thread ends as a crash."""
         self._process.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _start(scene: Any) -> tuple[Answer, dict[str, str]]:

@@ -8,9 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from symsol_annot.canvas import PREDICTED, TRUTH, new_figure, write_figure
+from symsol_annot.canvas import PREDICTED, TRUTH, label_text, new_figure, write_figure
 from symsol_annot.dataset import Sample
 from symsol_annot.errors import RotationError
+from symsol_annot.frames import srgb
 from symsol_annot.so3 import Angles, Rotations
 
 KINDS = ("pi-ball", "mollweide")
@@ -50,7 +51,7 @@ def plot_sets(
     Raises:
         OutputError: the file cannot be written.
         SettingsError: it is none of those forms.
-        SymsolError: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     width = _PICTURE_INCHES[kind]
     draw, projection = (draw_mollweide, "mollweide") if kind == "mollweide" else (draw_pi_ball, "3d")
@@ -67,7 +68,7 @@ def plot_sets(
         count = "" if found is None else f", {len(found)} predicted"
         axes.set_title(f"|S| = {len(sample.symmetry_set)}{count}", fontsize=8, pad=4)
     if title:
-        figure.suptitle(title, fontsize=9)
+        figure.suptitle(label_text(title), fontsize=9)
     write_figure(figure, path)
 
 
@@ -156,9 +157,7 @@ def tilt_colours(tilt_rad: Angles) -> npt.NDArray[np.float64]:
     Lightness and blue to yellow alone tell them apart, so that colour-blind eyes can.
     """
     lab = np.stack([0.65 + 0.14 * np.cos(tilt_rad), -0.09 * np.cos(tilt_rad), 0.13 * np.sin(tilt_rad)], axis=-1)
-    linear = np.clip((lab @ _OKLAB_TO_LMS.T) ** 3 @ _LMS_TO_RGB.T, 0.0, 1.0)
-    srgb: npt.NDArray[np.float64] = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return srgb
+    return srgb(np.clip((lab @ _OKLAB_TO_LMS.T) ** 3 @ _LMS_TO_RGB.T, 0.0, 1.0))
 
 
 def _draw_tilt_wheel(axes: Any) -> None:

@@ -4,9 +4,9 @@ World axes are the camera's, OpenCV's way: x right, y down, z forward. The objec
 camera at (0, 0, -distance) looks along +z, and the light shines along the camera's axis.
 """
 
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -129,7 +129,7 @@ class View:
     marking_pixels: float
 
 
-class Renderer(Protocol):
+class Renderer(AbstractContextManager["Renderer"], Protocol):
     """Draws one object through one camera; a context manager, since it may hold a process."""
 
     @property
@@ -144,9 +144,3 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Let go of what the renderer holds."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...

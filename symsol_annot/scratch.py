@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from symsol_annot.errors import OutputError
-from symsol_annot.files import try_lock
+from symsol_annot.locks import try_lock
 
 _PREFIX = "symsol-annot-"
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from symsol_annot import __version__
-from symsol_annot.annotate import annotate, is_shown, marking_pixels
+from symsol_annot.annotate import annotate, coset_marking_px, is_shown
 from symsol_annot.errors import RendererCrashedError
 from symsol_annot.manifest import ShardEntry
 from symsol_annot.plan import SetPlan, label_rotation
 from symsol_annot.scene import Renderer
-from symsol_annot.shards import ImageRecord, ShardHeader, ShardWriter, storage_versions
+from symsol_annot.shard_writer import ImageRecord, ShardWriter, storage_versions
 from symsol_annot.visibility import MarkingVisibility, is_convex
 
 OnImages = Callable[[int], object]  # told how many images of the shard are made
@@ -58,18 +58,17 @@ class ShardMaker:
         Raises:
             RenderError: the renderer failed or crashed.
         """
-        spec, annotated = self._plan.spec, self._plan.manifest().is_annotated(entry.split)
-        writer = ShardWriter(self._header(entry), entry.images, spec.symmetry_group, annotated=annotated)
+        manifest, group = self._plan.manifest(), self._plan.spec.symmetry_group
+        annotated = manifest.is_annotated(entry.split)
+        versions = {"symsol-annot": __version__, **storage_versions(), **self._renderer.versions}
         counts = {"candidates_drawn": 0, "candidates_within_tolerance": 0}
-        try:
+        with ShardWriter(manifest.header(entry, versions), entry.images, group, annotated=annotated) as writer:
             for made in range(entry.images):
                 if self._is_closed:
                     raise RendererCrashedError("the renderer was closed while it was drawing")
                 writer.add(self._record(entry, entry.first_index + made, counts, annotated=annotated))
                 on_images(made + 1)
             file = writer.finish(counts)
-        finally:
-            writer.close()
         return MadeShard(file.data, hashlib.sha256(file.data).hexdigest(), file.content_sha256, self._worker)
 
     def close(self) -> None:
@@ -81,28 +80,14 @@ class ShardMaker:
         spec, renderer = self._plan.spec, self._renderer
         R_gt = label_rotation(self._plan.seed, spec.name, entry.split, index)
         view = renderer.render(R_gt)
-        pixels = marking_pixels(spec, R_gt, view.marking_pixels, renderer, self._visibility)
+        coset_px = coset_marking_px(spec, R_gt, view.marking_pixels, renderer, self._visibility)
         if not annotated:
-            return ImageRecord(view, R_gt, pixels, None)
-        annotation = annotate(spec, R_gt, pixels, renderer, self._visibility)
+            return ImageRecord(view, R_gt, coset_px, None)
+        annotation = annotate(spec, R_gt, coset_px, renderer, self._visibility)
         drawn = annotation.candidate_pixels
         counts["candidates_drawn"] += int(np.count_nonzero(np.isfinite(drawn)))
         counts["candidates_within_tolerance"] += int(np.count_nonzero((drawn > 0) & ~is_shown(spec, drawn)))
-        return ImageRecord(view, R_gt, pixels, annotation.mask)
-
-    def _header(self, entry: ShardEntry) -> ShardHeader:
-        plan = self._plan
-        return ShardHeader(
-            object=plan.spec.name,
-            object_sha256=plan.spec.digest,
-            split=entry.split,
-            first_index=entry.first_index,
-            seed=plan.seed,
-            camera=plan.camera.to_dict(),
-            render=plan.settings.to_dict(),
-            tolerance_px=plan.spec.marking.tolerance_px if plan.spec.marking else np.nan,
-            versions={"symsol-annot": __version__, **storage_versions(), **self._renderer.versions},
-        )
+        return ImageRecord(view, R_gt, coset_px, annotation.mask)
 
 
 def visibility_of(plan: SetPlan) -> MarkingVisibility | None:

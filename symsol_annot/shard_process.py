@@ -8,8 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +23,7 @@ from symsol_annot.blender_process import (
     open_blender,
     serve,
 )
+from symsol_annot.closing import Closing
 from symsol_annot.errors import RendererCrashedError
 from symsol_annot.manifest import ShardEntry
 from symsol_annot.plan import SetPlan
@@ -95,7 +95,7 @@ class ShardProcess:
         self._process.close()
 
 
-class _CountingRenderer:
+class _CountingRenderer(Closing):
     """A renderer that counts its frames and says after each batch that it is still there."""
 
     def __init__(self, renderer: Renderer) -> None:
@@ -120,14 +120,6 @@ class _CountingRenderer:
 
     def close(self) -> None:
         self._renderer.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _start(scene: tuple[SetPlan, bool, int]) -> tuple[Answer, str]:

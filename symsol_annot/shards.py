@@ -1,227 +1,30 @@
-"""The HDF5 shard: what it holds, how it is written whole, and how a stranger's file is opened safely.
-
-docs/format.md is the contract. A shard is built in memory and written in one go, so that a full disk is an
-ordinary error, and its bytes depend on nothing but its contents and the libraries in `storage_versions`.
-"""
+"""The HDF5 shard, opened safely: a stranger's file is held against docs/format.md before anything of it is read."""
 
 import hashlib
 import io
 import json
-import math
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
-from symsol_annot.chunks import (
-    DEFLATE,
-    FLETCHER32,
-    GZIP_LEVEL,
-    HDF5_ERRORS,
-    SHUFFLE,
-    deflate_version,
-    filters_of,
-    inflated,
-    stored,
-)
+from symsol_annot.chunks import DEFLATE, FLETCHER32, HDF5_ERRORS, SHUFFLE, filters_of
 from symsol_annot.errors import DataError, bulleted
 from symsol_annot.objects import MAX_GROUP_ORDER
-from symsol_annot.scene import View
-from symsol_annot.so3 import Rotations
-
-SHARD_FORMAT = "symsol-annot shard"
-SHARD_FORMAT_VERSION = 1
-_IMAGE_DATASETS = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask")  # one row an image
-_TEXT, _WHOLE, _REAL = (str,), (int, np.integer), (float, np.floating)
-_ATTRIBUTES: dict[str, tuple[type, ...]] = {
-    "format": _TEXT,
-    "format_version": _WHOLE,
-    "object": _TEXT,
-    "object_sha256": _TEXT,
-    "split": _TEXT,
-    "first_index": _WHOLE,
-    "seed": _WHOLE,
-    "camera": _TEXT,
-    "render": _TEXT,
-    "engine": _TEXT,
-    "tolerance_px": _REAL,
-    "versions": _TEXT,
-    "candidates_drawn": _WHOLE,
-    "candidates_within_tolerance": _WHOLE,
-}
-_UNKNOWN_WHERE_IMPORTED = (  # attributes and data sets
-    "object_sha256",
-    "seed",
-    "render",
-    "engine",
-    "tolerance_px",
-    "candidates_drawn",
-    "candidates_within_tolerance",
-    "segmentation",
-    "marking_pixels",
+from symsol_annot.shard_header import (
+    DATASETS_NOT_IMPORTED,
+    IMAGE_DATASETS,
+    SHARD_FORMAT,
+    SHARD_FORMAT_VERSION,
+    attribute_types,
+    content_heading,
 )
+
 _MAX_SIDE = 2 * MAX_GROUP_ORDER  # so that a small file cannot ask for all memory
 _ALLOWED_FILTERS = {DEFLATE, FLETCHER32, SHUFFLE}
-
-
-@dataclass(frozen=True)
-class ShardHeader:
-    """A shard's attributes: all that is needed to make it again; None where that is not known, in imported shards.
-
-    Attributes:
-        object: the object's name.
-        object_sha256: its digest.
-        split: "train" or "test".
-        first_index: the index within the split of the shard's first image.
-        seed: the set's.
-        camera: as `Camera.to_dict`.
-        render: as `RenderSettings.to_dict`.
-        tolerance_px: the object's T; NaN without a marking.
-        versions: the software that decides the bytes.
-        source: where an imported shard is from; None for a rendered one.
-    """
-
-    object: str
-    object_sha256: str | None
-    split: str
-    first_index: int
-    seed: int | None
-    camera: dict[str, Any]
-    render: dict[str, Any] | None
-    tolerance_px: float | None
-    versions: dict[str, str]
-    source: dict[str, Any] | None = None
-
-    def to_attributes(self) -> dict[str, Any]:
-        """Return the HDF5 attributes; what is not known has none."""
-        attributes = {
-            "format": SHARD_FORMAT,
-            "format_version": SHARD_FORMAT_VERSION,
-            "object": self.object,
-            "object_sha256": self.object_sha256,
-            "split": self.split,
-            "first_index": self.first_index,
-            "seed": self.seed,
-            "camera": json.dumps(self.camera, sort_keys=True),
-            "render": self.render and json.dumps(self.render, sort_keys=True),
-            "engine": self.render and self.render["engine"],
-            "tolerance_px": self.tolerance_px,
-            "versions": json.dumps(self.versions, sort_keys=True),
-            "source": self.source and json.dumps(self.source, sort_keys=True),
-        }
-        return {name: value for name, value in attributes.items() if value is not None}
-
-
-@dataclass(frozen=True)
-class ImageRecord:
-    """What a shard holds of one image.
-
-    Attributes:
-        view: the picture and its segmentation.
-        R_m2c: (3, 3) the rotation it was drawn at.
-        marking_pixels: p(R_m2c).
-        symmetry_mask: (G,) bool, or None in a split without annotation.
-    """
-
-    view: View
-    R_m2c: Rotations
-    marking_pixels: float
-    symmetry_mask: npt.NDArray[np.bool_] | None
-
-
-@dataclass(frozen=True)
-class ShardFile:
-    """A finished shard in memory: its bytes, and the digest of what it holds whatever HDF5 makes of it."""
-
-    data: bytes
-    content_sha256: str
-
-
-class ShardWriter:
-    """Builds one shard, image by image; the chunks are made here, not by HDF5, so that threads do so at once."""
-
-    def __init__(self, header: ShardHeader, count: int, symmetry_group: Rotations, *, annotated: bool) -> None:
-        in_memory = f"shard-{uuid.uuid4()}"  # HDF5 tells files that are open at the same time apart by name
-        self._file = h5py.File(in_memory, "w", driver="core", backing_store=False, libver=("earliest", "v108"))
-        self._count, self._written = count, 0
-        self._file.attrs.update(header.to_attributes())
-        size = (header.camera["height"], header.camera["width"])
-        self._image = self._create("image", (count, *size, 3), "u1", chunk_rows=1)
-        self._segmentation = None
-        self._labels = {"rotation": np.zeros((count, 3, 3))}
-        if header.source is None:
-            self._segmentation = self._create("segmentation", (count, *size), "u1", chunk_rows=1)
-            self._labels["marking_pixels"] = np.zeros(count, dtype="f4")
-        if annotated:
-            self._labels["symmetry_mask"] = np.zeros((count, len(symmetry_group)), dtype=bool)
-        self._labels["symmetry_group"] = symmetry_group
-        self._content = hashlib.sha256(_content_heading(self._image))
-        self._segmentations: list[bytes] = []  # as they are stored, until their turn in the digest
-
-    def add(self, record: ImageRecord) -> None:
-        """Append one rendered image."""
-        row = self._written
-        self.add_imported(record.view.rgb, record.R_m2c, record.symmetry_mask)
-        self._segmentations.append(_store(self._segmentation, row, record.view.segmentation[None]))
-        self._labels["marking_pixels"][row] = record.marking_pixels
-
-    def add_imported(self, rgb: npt.NDArray[np.uint8], R: Rotations, mask: npt.NDArray[np.bool_] | None) -> None:
-        """Append one image (H, W, 3) of which nothing is known but its rotation (3, 3) and its set (G,), if that."""
-        row = self._written
-        _store(self._image, row, rgb[None])
-        self._content.update(rgb.tobytes())
-        self._labels["rotation"][row] = R
-        if mask is not None:
-            self._labels["symmetry_mask"][row] = mask
-        self._written += 1
-
-    def finish(self, notes: dict[str, int]) -> ShardFile:
-        """Return the shard; `notes` become attributes."""
-        if self._written != self._count:
-            raise ValueError(f"the shard was made for {self._count} images and holds {self._written}")
-        self._file.attrs.update(notes)
-        if self._segmentation is not None:
-            self._content.update(_content_heading(self._segmentation))
-            for chunk in self._segmentations:
-                self._content.update(inflated(chunk, math.prod(self._segmentation.chunks)))
-        for name, values in self._labels.items():
-            dataset = self._create(name, values.shape, values.dtype.str)
-            _store(dataset, 0, values)
-            self._content.update(_content_heading(dataset) + values.tobytes())
-        self._file.flush()
-        return ShardFile(self._file.id.get_file_image(), self._content.hexdigest())
-
-    def close(self) -> None:
-        """Let go of the memory."""
-        self._file.close()
-
-    def _create(self, name: str, shape: tuple[int, ...], dtype: str, chunk_rows: int | None = None) -> h5py.Dataset:
-        return self._file.create_dataset(
-            name,
-            shape,
-            dtype,
-            chunks=(chunk_rows or shape[0], *shape[1:]),
-            compression="gzip",
-            compression_opts=GZIP_LEVEL,
-            fletcher32=True,
-            track_times=False,
-        )
-
-
-def _store(dataset: h5py.Dataset, row: int, values: npt.NDArray[Any]) -> bytes:
-    """Write the chunk that begins at a row, and return its bytes."""
-    if values.shape != dataset.chunks or values.dtype != dataset.dtype:
-        expected, found = f"{dataset.dtype} {dataset.chunks}", f"{values.dtype} {values.shape}"
-        raise ValueError(f"{dataset.name}: expected {expected}, found {found}")
-    chunk = stored(values)
-    dataset.id.write_direct_chunk((row, *[0] * (values.ndim - 1)), chunk)
-    return chunk
 
 
 def versions_of(shard: h5py.File) -> dict[str, str]:
@@ -236,26 +39,16 @@ def versions_of(shard: h5py.File) -> dict[str, str]:
         raise DataError(f"{shard.filename}: attribute 'versions' is no JSON object: {error}") from None
 
 
-def storage_versions() -> dict[str, str]:
-    """Return the libraries that decide a shard's bytes: name to version."""
-    versions = {"numpy": np.__version__, "h5py": h5py.__version__, "hdf5": h5py.version.hdf5_version}
-    return {**versions, "zlib-ng": deflate_version()}
-
-
 def content_sha256(file: h5py.File) -> str:
     """Return the digest of a shard's arrays, one that another HDF5 library or compression does not change."""
     digest = hashlib.sha256()
-    for name in (*_IMAGE_DATASETS, "symmetry_group"):
+    for name in (*IMAGE_DATASETS, "symmetry_group"):
         if name in file:
             dataset = file[name]
-            digest.update(_content_heading(dataset))
+            digest.update(content_heading(dataset))
             for start in range(0, len(dataset), 64):
                 digest.update(np.ascontiguousarray(dataset[start : start + 64]).tobytes())
     return digest.hexdigest()
-
-
-def _content_heading(dataset: h5py.Dataset) -> bytes:
-    return f"{dataset.name.strip('/')} {dataset.dtype.str} {dataset.shape}\n".encode()
 
 
 @contextmanager
@@ -300,9 +93,9 @@ def _structure_faults(file: h5py.File) -> list[str]:
         for name in file:
             if not isinstance(file.get(name, getlink=True), h5py.HardLink):
                 faults.append(f"{name!r} is a link to somewhere else")
-            elif name not in _IMAGE_DATASETS and name != "symmetry_group":
+            elif name not in IMAGE_DATASETS and name != "symmetry_group":
                 faults.append(f"{name!r} is not part of the format")
-            elif _is_imported(file) and name in _UNKNOWN_WHERE_IMPORTED:
+            elif _is_imported(file) and name in DATASETS_NOT_IMPORTED:
                 faults.append(f"{name!r} is not part of an imported shard")
         if not faults:
             camera = json.loads(file.attrs["camera"])
@@ -316,7 +109,7 @@ def _structure_faults(file: h5py.File) -> list[str]:
 def _format_faults(file: h5py.File) -> list[str]:
     for name, expected in (("format", SHARD_FORMAT), ("format_version", SHARD_FORMAT_VERSION)):
         found = file.attrs.get(name)
-        if not isinstance(found, _ATTRIBUTES[name]) or found != expected:
+        if not isinstance(found, attribute_types(is_imported=False)[name]) or found != expected:
             if name == "format_version" and isinstance(found, np.integer) and found > expected:
                 return [
                     f"is of format version {found}, newer than {expected}, which this symsol-annot reads: update it"
@@ -326,17 +119,15 @@ def _format_faults(file: h5py.File) -> list[str]:
 
 
 def _attribute_faults(file: h5py.File) -> list[str]:
-    expected = dict(_ATTRIBUTES)
-    if _is_imported(file):
-        expected = {name: types for name, types in expected.items() if name not in _UNKNOWN_WHERE_IMPORTED}
-        expected["source"] = _TEXT
+    expected = attribute_types(is_imported=_is_imported(file))
     faults = [
         f"attribute {name!r} is missing or of a wrong type: found {file.attrs.get(name)!r}"
         for name, types in expected.items()
         if not isinstance(file.attrs.get(name), types)
     ]
     if _is_imported(file):
-        stray = [name for name in _UNKNOWN_WHERE_IMPORTED if name in file.attrs]
+        rendered = attribute_types(is_imported=False)
+        stray = [name for name in rendered if name not in expected and name in file.attrs]
         faults += [f"attribute {name!r} is not part of an imported shard" for name in stray]
     return faults or _camera_faults(file.attrs["camera"])
 
@@ -363,7 +154,7 @@ def _expected_datasets(file: h5py.File, height: int, width: int) -> dict[str, tu
     if file.get("symmetry_mask", getlink=True) is not None:
         expected["symmetry_mask"] = ((count, group), "|b1")
     if _is_imported(file):
-        expected = {name: what for name, what in expected.items() if name not in _UNKNOWN_WHERE_IMPORTED}
+        expected = {name: what for name, what in expected.items() if name not in DATASETS_NOT_IMPORTED}
     return expected
 
 

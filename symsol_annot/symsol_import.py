@@ -5,11 +5,9 @@ R g with g of one group; that is checked for every image, and the group's duplic
 """
 
 import hashlib
-import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -17,42 +15,22 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from symsol_annot import __version__
 from symsol_annot.errors import DataError, DifferentSetError, SettingsError
-from symsol_annot.files import file_sha256, held_folder, output_errors, write_atomically
+from symsol_annot.files import file_sha256, new_folder, output_errors, write_atomically
+from symsol_annot.listed_groups import SAME_RAD, ListedGroup, listed_group, nearest_rotations
+from symsol_annot.locks import held_folder
 from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest, write_manifest
 from symsol_annot.plan import division_into_shards
-from symsol_annot.shards import ShardFile, ShardHeader, ShardWriter, storage_versions
-from symsol_annot.so3 import Rotations, angle_between, rotation_deviation
+from symsol_annot.shard_writer import ShardFile, ShardWriter, storage_versions
+from symsol_annot.so3 import Rotations, rotation_deviation
 from symsol_annot.symsol_zip import SymsolZip
 
-SAME_RAD = 1e-4  # the source's float32 is off by 1e-6; neighbours on its circles are 0.0175 apart
 MAX_OFF_SO3 = 1e-4
 _IMAGES_FOR_GROUP = 64
 
 OnImages: TypeAlias = Callable[[int], object]
-
-
-@dataclass(frozen=True, eq=False)
-class ListedGroup:
-    """How an object's lists of rotations are to be read.
-
-    Attributes:
-        group: (G, 3, 3) symmetries, identity first, each of them once; the identity alone where no sets are given.
-        element: (m,) which of them each listed rotation belongs to.
-        is_transposed: whether the source's matrices are to be transposed, so that symmetries act on the right.
-    """
-
-    group: Rotations
-    element: npt.NDArray[np.intp]
-    is_transposed: bool
-
-    @property
-    def duplicates(self) -> int:
-        """How many rotations of a list are another one of it again."""
-        return len(self.element) - len(self.group)
 
 
 @dataclass(frozen=True)
@@ -117,46 +95,9 @@ def import_symsol(
                 yield ImportedSet(folder, read_manifest(folder), members, was_there=True)
                 continue
             on_begin(manifest)
-            with _whole_or_not_at_all(folder) as partial:
+            with new_folder(folder) as partial:
                 made = importer.write(partial, workers, on_images)
             yield ImportedSet(folder, made, members, importer.off_so3, importer.off_sets_rad)
-
-
-def listed_group(listed: Rotations, what: str) -> ListedGroup:
-    """Find the group whose elements take the first rotation of every image to the others.
-
-    Args:
-        listed: (n, m, 3, 3) the rotations of some images, as the source has them.
-        what: how an error message names them.
-
-    Raises:
-        DataError: there is no such group.
-    """
-    for is_transposed in (False, True):
-        relative = _relative(listed, is_transposed=is_transposed)
-        if angle_between(relative, relative[:1]).max() <= SAME_RAD:
-            break
-    else:
-        raise DataError(
-            f"{what}: the lists of the first {len(listed)} images are not R g, nor g R, with g of one group"
-        )
-    mean = nearest_rotations(relative.mean(axis=0))
-    first_same = np.argmax(angle_between(mean[:, None], mean[None]) <= SAME_RAD, axis=1)
-    is_first = first_same == np.arange(len(mean))
-    group = mean[is_first]
-    group[0] = np.eye(3)
-    products = (group[:, None] @ group[None]).reshape(-1, 9)
-    if cKDTree(group.reshape(-1, 9)).query(products)[0].max() > SAME_RAD:
-        raise DataError(f"{what}: the {len(group)} different rotations of a list make no group: a product is not in it")
-    return ListedGroup(group, (np.cumsum(is_first) - 1)[first_same], is_transposed)
-
-
-def nearest_rotations(matrices: Rotations) -> Rotations:
-    """Return the rotations nearest to (..., 3, 3) matrices in the Frobenius norm."""
-    u, _, vt = np.linalg.svd(matrices)
-    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
-    nearest: Rotations = u @ vt
-    return nearest
 
 
 class _Importer:
@@ -230,11 +171,7 @@ class _Importer:
         self.off_so3 = max(self.off_so3, float(deviation.max()))
 
     def _check_sets(self, entry: ShardEntry, listed: Rotations) -> None:
-        """Compare each list with R g, element by element, and as a set where it comes in another order."""
-        relative = _relative(listed, is_transposed=self.listed.is_transposed)
-        off = angle_between(relative, self.listed.group[self.listed.element]).max(axis=1)
-        for row in np.flatnonzero(~(off <= SAME_RAD)):
-            off[row] = self._off_as_a_set(relative[row])
+        off = self.listed.off_rad(listed)
         if not (off <= SAME_RAD).all():
             row = int(np.argmax(~(off <= SAME_RAD)))
             raise DataError(
@@ -243,38 +180,14 @@ class _Importer:
             )
         self.off_sets_rad = max(self.off_sets_rad, float(off.max()))
 
-    def _off_as_a_set(self, relative: Rotations) -> float:
-        """Return how far (m, 3, 3) elements are from the group's, inf where they are not all of it."""
-        if not np.isfinite(relative).all():
-            return np.inf
-        group = self.listed.group
-        nearest = cKDTree(group.reshape(-1, 9)).query(relative.reshape(-1, 9))[1]
-        is_all = len(np.unique(nearest)) == len(group)
-        return float(angle_between(relative, group[nearest]).max()) if is_all else np.inf
-
     def _shard(self, entry: ShardEntry, R: Rotations) -> ShardFile:
-        recipe, group = self.manifest.recipe, self.listed.group
-        is_annotated = self.manifest.is_annotated(entry.split)
-        header = ShardHeader(
-            object=self._name,
-            object_sha256=None,
-            split=entry.split,
-            first_index=entry.first_index,
-            seed=None,
-            camera=recipe["camera"],
-            render=None,
-            tolerance_px=None,
-            versions=_versions(),
-            source=recipe["source"],
-        )
+        group, is_annotated = self.listed.group, self.manifest.is_annotated(entry.split)
         mask = np.ones(len(group), dtype=bool) if is_annotated else None
-        writer = ShardWriter(header, entry.images, group, annotated=is_annotated)
-        try:
+        header = self.manifest.header(entry, _versions())
+        with ShardWriter(header, entry.images, group, annotated=is_annotated) as writer:
             for row in range(entry.images):
                 writer.add_imported(self._image(entry, row), R[row], mask)
             return writer.finish({})
-        finally:
-            writer.close()
 
     def _image(self, entry: ShardEntry, row: int) -> npt.NDArray[np.uint8]:
         index, camera = entry.first_index + row, self.manifest.recipe["camera"]
@@ -313,14 +226,6 @@ def _annotate(source: SymsolZip, name: str) -> str:
     raise DataError(f"{source.path}: {name}: expected as many rotations an image in both splits, found {found}")
 
 
-def _relative(listed: Rotations, *, is_transposed: bool) -> Rotations:
-    """Return R_0^-1 R_j (n, m, 3, 3) of lists of rotations R_j, transposed first or not."""
-    R = np.swapaxes(listed, -1, -2) if is_transposed else listed
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is found to be no member
-        relative: Rotations = np.swapaxes(R[:, :1], -1, -2) @ R
-    return relative
-
-
 def _keep(
     folder: Path, manifest: Manifest, entry: ShardEntry, made: "Future[ShardFile]", on_images: OnImages
 ) -> Manifest:
@@ -345,25 +250,6 @@ def _is_there(folder: Path, planned: Manifest) -> bool:
         if folder.exists() and any(folder.iterdir()):
             raise DifferentSetError(str(folder), [f"it holds files, and no {MANIFEST_NAME}"])
     return False
-
-
-@contextmanager
-def _whole_or_not_at_all(folder: Path) -> Iterator[Path]:
-    """Give a hidden folder beside another's name, which it gets if all goes well; else it is removed."""
-    partial = folder.with_name(f".{folder.name}.partial")
-    with output_errors(partial):
-        if partial.exists():  # a killed run left it
-            shutil.rmtree(partial)
-        partial.mkdir()
-    try:
-        yield partial
-        with output_errors(folder):
-            if folder.exists():  # and empty
-                folder.rmdir()
-            partial.rename(folder)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
 
 
 def _versions() -> dict[str, str]:

@@ -17,12 +17,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.closing import Closing
 from symsol_annot.errors import DataError, bulleted
 from symsol_annot.manifest import SPLITS
 from symsol_annot.scene import SIZE_RANGE
@@ -93,7 +93,7 @@ class RotationTable:
         return np.frombuffer(data, self.header.dtype).reshape(shape).astype(np.float64)
 
 
-class SymsolZip:
+class SymsolZip(Closing):
     """An open zip whose list of files was checked: for every rotation an image, and no image without.
 
     Attributes:
@@ -149,14 +149,6 @@ class SymsolZip:
     def close(self) -> None:
         """Close the file."""
         self._open_files.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _read_member(self, member: str) -> bytes:
         info = self._zip.getinfo(member)

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from symsol_annot.dataset import Dataset, Sample, load
-from symsol_annot.errors import SettingsError
+from symsol_annot.errors import MissingExtraError, SettingsError
 from symsol_annot.order import shuffled_order
 
 try:
@@ -22,8 +22,7 @@ try:
     from torch.utils.data import Dataset as TorchDataset
     from torch.utils.data import Sampler
 except ModuleNotFoundError as error:
-    message = f"symsol_annot.torch needs {error.name}, which is not installed: `pip install 'symsol-annot[bench]'`"
-    raise ModuleNotFoundError(message, name=error.name) from None
+    raise MissingExtraError("symsol_annot.torch", str(error.name), "bench") from None
 
 __all__ = ["ShuffledShards", "SymsolDataset", "padded_symmetry_sets"]
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.chunks import HDF5_ERRORS
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DataError, first_of
 from symsol_annot.files import file_sha256
 from symsol_annot.manifest import Manifest, ShardEntry, read_manifest
 from symsol_annot.scene import MARKING
@@ -95,8 +95,7 @@ def _content_faults(shard: h5py.File) -> Iterator[str]:
 
     def images(bad: Flags) -> str:
         listed = [str(first + int(row)) for row in np.flatnonzero(bad)]
-        more = f" and {len(listed) - _LISTED_ROWS} more" if len(listed) > _LISTED_ROWS else ""
-        return f"image {', '.join(listed[:_LISTED_ROWS])}{more}"
+        return f"image {first_of(listed, _LISTED_ROWS)}"
 
     no_rotation = ~(rotation_deviation(shard["rotation"][...]) <= ORTHONORMAL_TOLERANCE)
     if no_rotation.any():

@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from numpy_renderer import NumpyRenderer
 
-from symsol_annot.annotate import marking_pixels
+from symsol_annot.annotate import coset_marking_px
 from symsol_annot.events import ImagesMade, Started
 from symsol_annot.executors import in_process
 from symsol_annot.generate import generate
@@ -30,7 +30,7 @@ def make_plan(name="tetX", train=0, test=40, seed=0, size=SIZE, annotate="test")
 
 def pixels_of(spec, R, renderer):
     """The area by which the image at R shows the marking, as a set would store it."""
-    return marking_pixels(spec, R, float(renderer.marking_pixels(R[None])[0]), renderer) if spec.marking else 0.0
+    return coset_marking_px(spec, R, float(renderer.marking_pixels(R[None])[0]), renderer) if spec.marking else 0.0
 
 
 def threads(open_renderer, workers=1, *, exhaustive=False):

@@ -1,11 +1,15 @@
-"""The gallery's page in a headless Chromium, as somebody sees and uses it."""
+"""The gallery's page in a headless Chromium, as somebody sees and uses it.
+
+python tests/gallery_browser.py installs Chromium where it is missing and this user may.
+"""
 
 import contextlib
 import shutil
 import time
 from urllib.parse import urlencode
 
-CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+PACKAGES = {"chromium": "chromium", "chromedriver": "chromium-driver"}  # program: its Debian package
+CHROMIUM, DRIVER = (shutil.which(program) for program in PACKAGES)
 OPTIONS = (
     "--headless=new",
     "--no-sandbox",
@@ -92,3 +96,13 @@ class Page:
             "[...document.querySelectorAll('[role=option]')].sort((a, b) => a.dataset.position - b.dataset.position)"
         )
         return self.run(f"{cells}.map((c) => c.querySelector('.cell-title').firstChild.textContent)")
+
+
+def install_missing():
+    from symsol_annot import doctor
+
+    doctor.install([package for program, package in PACKAGES.items() if shutil.which(program) is None])
+
+
+if __name__ == "__main__":
+    install_missing()

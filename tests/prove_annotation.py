@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from symsol_annot.annotate import annotate, is_shown, marking_pixels
+from symsol_annot.annotate import annotate, coset_marking_px, is_shown
 from symsol_annot.objects import load_object
 from symsol_annot.plan import label_rotation
 from symsol_annot.render_process import RenderProcess
@@ -139,7 +139,7 @@ class Prover:
     def _hidden(self, rotations):
         """Return the first rotation that hides the marking, and the area it shows."""
         for R in rotations:
-            pixels = marking_pixels(self._spec, R, float(self._renderer.marking_pixels(R[None])[0]), self._renderer)
+            pixels = coset_marking_px(self._spec, R, float(self._renderer.marking_pixels(R[None])[0]), self._renderer)
             if not is_shown(self._spec, pixels):
                 return R, pixels
         raise AssertionError("rotations do not end")

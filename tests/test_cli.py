@@ -588,6 +588,101 @@ def test_a_folder_that_may_not_be_looked_into_is_an_error_that_names_it(tmp_path
     assert str(tmp_path / "closed") in done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("buffering", ["", "1"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--help"],
+        ["--version"],
+        ["completion", "fish"],
+        ["objects"],
+        ["info", "SET"],
+        ["verify", "SET"],
+        ["plot", "-h"],
+    ],
+    ids=" ".join,
+)
+def test_a_full_standard_output_is_one_line_and_no_success(tetX_set, words, buffering):
+    line = shlex.join([*COMMAND, *[str(tetX_set) if word == "SET" else word for word in words]])
+    done = run("sh", "-c", f"{line} > /dev/full", env={"PYTHONUNBUFFERED": buffering})
+    assert (done.returncode, done.stderr) == (1, "Error: standard output: No space left on device\n")
+
+
+def test_a_picture_is_there_although_its_name_cannot_be_printed(tetX_set, tmp_path):
+    line = shlex.join([*COMMAND, "plot", "images", str(tetX_set), "--count", "1", "--out", str(tmp_path / "a.png")])
+    done = run("sh", "-c", f"{line} > /dev/full")
+    assert (done.returncode, done.stderr) == (1, "Error: standard output: No space left on device\n")
+    with Image.open(tmp_path / "a.png") as picture:
+        picture.load()
+
+
+def test_a_reader_that_goes_away_ends_a_command_without_a_word():
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run([*COMMAND, "objects"], stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (1, b"")
+
+
+LONG = "x" * 300  # no file system takes it
+READERS = [
+    ["info"],
+    ["verify"],
+    ["plot", "images"],
+    ["publish", "--out", "out"],
+    ["gallery", "--out", "out"],
+    ["import-symsol"],
+    ["leaderboard", "--out", "out.md"],
+    ["validate"],
+    ["score"],
+    ["compare"],
+    ["plot", "coverage", "--object", "tetX", "--out", "out.png"],
+]
+
+
+@pytest.mark.parametrize("words", READERS, ids=" ".join)
+def test_a_name_that_is_too_long_is_an_error_that_names_it(symsol_here, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    done = symsol_here(*words, LONG)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("Error: ")
+    assert LONG in done.stderr
+    assert "File name too long" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@obeying_modes
+@pytest.mark.parametrize("words", READERS, ids=" ".join)
+def test_a_path_through_a_closed_folder_is_an_error_that_names_it(tmp_path, words):
+    (tmp_path / "closed").mkdir(mode=0)
+    done = run(*AS_WHO_OBEYS_MODES, *COMMAND, *words, tmp_path / "closed" / "inner" / "data", cwd=tmp_path)
+    (tmp_path / "closed").chmod(0o700)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert str(tmp_path / "closed") in done.stderr
+    assert "Permission denied" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("package", "contents", "reason"),
+    [
+        ("matplotlib", "import a_part_of_it", "No module named 'a_part_of_it'"),
+        ("matplotlib", "raise ImportError('libx.so: no such file\\nand more')", "libx.so: no such file"),
+        ("pyarrow", "", "No module named 'pyarrow.parquet'"),
+    ],
+)
+def test_a_broken_package_is_one_line_that_names_it_and_says_to_reinstall(
+    tetX_set, tmp_path, package, contents, reason
+):
+    (tmp_path / "broken" / package).mkdir(parents=True)
+    (tmp_path / "broken" / package / "__init__.py").write_text(contents)
+    command = ["plot", "images"] if package == "matplotlib" else ["publish"]
+    environment = {"PYTHONPATH": str(tmp_path / "broken")}
+    done = symsol(*command, tetX_set, "--out", tmp_path / "out.png", env=environment)
+    advice = f"reinstall it: `pip install --force-reinstall {package}`"
+    assert (done.returncode, done.stderr) == (1, f"Error: {package} is broken: {reason}; {advice}\n")
+    assert not (tmp_path / "out.png").exists()
+
+
 @pytest.mark.blender
 def test_without_opengl_workbench_says_what_to_do_and_leaves_no_folder(tmp_path):
     done = symsol("render", *TINY_SET, "--out", tmp_path / "data", env=WITHOUT_EGL)

@@ -17,7 +17,8 @@ from conftest import make_plan
 from distributed import Client
 
 from symsol_annot import __version__
-from symsol_annot.cluster import DaskCluster, address_in, check_scheduler, worker_faults
+from symsol_annot.cluster import DaskCluster, address_in
+from symsol_annot.cluster_checks import check_scheduler, worker_faults
 from symsol_annot.errors import ClusterError
 from symsol_annot.events import ShardBegunAgain, ShardFinished
 from symsol_annot.executors import local_processes
@@ -221,7 +222,7 @@ def test_something_else_at_the_address_is_an_error_that_says_so(answer):
 
 
 def test_a_silent_or_a_web_server_is_no_scheduler(monkeypatch):
-    monkeypatch.setattr("symsol_annot.cluster._CONNECT_SECONDS", 2.0)
+    monkeypatch.setattr("symsol_annot.cluster_checks.CONNECT_SECONDS", 2.0)
     with listening(None) as address:
         assert_refused(address, "something that is no Dask scheduler answers there")
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), QuietHandler) as web:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from symsol_annot.bench import report
 from symsol_annot.bench.averages import difference
 from symsol_annot.bench.comparison import compare
-from symsol_annot.bench.report import TABLE
+from symsol_annot.bench.metric_table import METRICS, Place, metrics_shown
 from symsol_annot.bench.scores_file import read_scores
 from symsol_annot.bench.scoring import score_file
 from symsol_annot.bench.submission import write_classifier, write_density, write_hypotheses
@@ -103,7 +103,7 @@ def test_a_file_compared_with_itself_shows_zeros_only(documents, save):
 
 def test_values_are_those_of_the_files_and_differences_are_second_minus_first(documents, save):
     rows = rows_of(compare(save(*documents)))
-    titles = {metric: title.strip() for metric, title, _ in TABLE["hypotheses"]}
+    titles = {metric.name: metric.title for metric in metrics_shown("hypotheses", Place.TABLES)}
     assert rows["all (40)"] == ["first: hypotheses (M = 1)", "second: hypotheses (M = 1)", "difference"]
     for metric, title in titles.items():
         if metric not in documents[0]["objects"]["tetX"]["hypotheses"]["all"]:
@@ -131,10 +131,10 @@ def test_the_interval_of_a_difference_is_that_of_the_same_draws_on_both_sides(pa
     tables = [scores.tracks["hypotheses"].per_image for scores in (first, second)]
     exact = difference(*tables, first.truth.strata)["all"]
     rows = rows_of(compare(save(*documents)))
-    for metric, title, _ in TABLE["hypotheses"]:
-        if metric in exact:
-            shown = numbers_in(rows[title.strip()][2])
-            figure = exact[metric]
+    for metric in metrics_shown("hypotheses", Place.TABLES):
+        if metric.name in exact:
+            shown = numbers_in(rows[metric.title][2])
+            figure = exact[metric.name]
             assert shown == pytest.approx([figure.value, figure.low, figure.high], abs=5.1e-5)
 
 
@@ -173,7 +173,7 @@ def test_lines_are_aligned_and_have_no_trailing_blanks(documents, save):
     tables = [
         block.splitlines() for block in text.split("\n\n") if block.startswith(("all", "shown", "hidden", "barely"))
     ]
-    assert len(tables) == 4 * len(TABLE)
+    assert len(tables) == 4 * len(METRICS)
     for table in tables:
         assert len({len(line) for line in table if not line.startswith("WARNING")}) == 1
 
@@ -226,7 +226,7 @@ def test_scores_of_another_object_are_refused(documents, save):
     [
         ("format", "another", "is no scores file .*`score --json` writes one"),
         ("format", ..., "is no scores file"),
-        ("format_version", 2, "reads format_version 1, found 2"),
+        ("format_version", 2, "of format version 2, newer than 1, .* update it"),
         ("format_version", "x" * 10_000, "found 'x{90,100}"),
         ("method", ..., "'method' is no name"),
         ("method", "\x1b[2J", "'method' is no name"),  # which would clear a terminal
@@ -384,7 +384,7 @@ def damage(document, way, rng):
         elif kind == 2:
             place[last] = copy.deepcopy(rng.choice(list(document.values())))
         elif isinstance(place, dict):
-            place[rng.choice(["x", "\n", "all", "shown", *TABLE])] = place.pop(last)
+            place[rng.choice(["x", "\n", "all", "shown", *METRICS])] = place.pop(last)
     except (KeyError, IndexError, TypeError):  # what was there is damaged already
         pass
 

@@ -22,7 +22,7 @@ from symsol_annot.gallery.writing import write_gallery
 from symsol_annot.so3 import uniform_rotations
 
 pytestmark = pytest.mark.skipif(
-    not (CHROMIUM and DRIVER), reason="needs Chromium: `symsol-annot doctor --install --browser` gets it"
+    not (CHROMIUM and DRIVER), reason="needs Chromium: `python tests/gallery_browser.py` gets it"
 )
 BARELY_PX = 3000  # scaled to this size 15 px, and tetX shows its marking with 5 or more
 

@@ -29,8 +29,8 @@ from scipy.stats import kstest
 from symsol_annot import files
 from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, DifferentSetError, OutputError, RenderError, SettingsError
-from symsol_annot.files import locked
 from symsol_annot.generate import generate
+from symsol_annot.locks import locked
 from symsol_annot.manifest import read_manifest, write_manifest
 from symsol_annot.plan import label_rotation
 from symsol_annot.scene import Camera, RenderSettings

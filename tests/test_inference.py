@@ -11,7 +11,7 @@ from bench_sets import small_set
 from conftest import make_set
 
 from symsol_annot.bench import inference
-from symsol_annot.bench.checkpoints import About, Checkpoint, new_model
+from symsol_annot.bench.checkpoints import Checkpoint, TrainingRecord, new_model
 from symsol_annot.bench.inference import predict
 from symsol_annot.bench.queries import Queries
 from symsol_annot.bench.recipe import load_recipe
@@ -29,8 +29,8 @@ CPU = torch.device("cpu")
 def checkpoint(name, of="tetX", size=(16, 16)):
     """A model with first weights, as if it had been trained."""
     recipe = load_recipe(name).for_object(of, has_marking=True)
-    about = About(name, recipe, of, size, "", 1, 0, "", (), {})
-    return Checkpoint(Path("model"), about, new_model(recipe, None, 0).eval())
+    record = TrainingRecord(name, recipe, of, size, "", 1, 0, "", (), {})
+    return Checkpoint(Path("model"), record, new_model(recipe, None, 0).eval())
 
 
 @pytest.fixture(scope="module")
@@ -80,11 +80,11 @@ def test_a_model_of_another_object_or_size_is_refused(test_split, tmp_path):
 def test_a_gpu_that_is_too_small_takes_fewer_images_at_once(test_split, tmp_path, monkeypatch):
     tried, run = [], inference.all_hypotheses
 
-    def hungry(model, images, batch):
-        tried.append(batch)
-        if batch > 2:
+    def hungry(model, images, batch_size):
+        tried.append(batch_size)
+        if batch_size > 2:
             raise torch.cuda.OutOfMemoryError
-        return run(model, images, batch)
+        return run(model, images, batch_size)
 
     monkeypatch.setattr(inference, "all_hypotheses", hungry)
     predict(checkpoint("small-wta"), test_split, tmp_path / "preds.h5", CPU)

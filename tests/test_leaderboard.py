@@ -1,10 +1,13 @@
 """The leaderboard shows what the files of results say, and refuses files that nobody could check."""
 
+import importlib.util
 import json
+import os
 import re
 import shutil
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from symsol_annot_cli.leaderboard import leaderboard
 from symsol_annot.bench import report
 from symsol_annot.bench.leaderboard import read_leaderboard
 from symsol_annot.bench.leaderboard_page import to_markdown
+from symsol_annot.bench.metric_table import Place, metrics_shown
 from symsol_annot.bench.scores_file import figures_that_differ
 from symsol_annot.bench.scoring import score_file
 from symsol_annot.bench.submission import write_classifier, write_hypotheses
@@ -24,6 +28,7 @@ from symsol_annot.errors import ScoresError
 ROOT = Path(__file__).resolve().parent.parent
 FILES = ROOT / "docs" / "results" / "leaderboard"
 IMAGES = 24
+NOTES = 'a "quote", a \\ and an é,\non two lines'
 
 
 @pytest.fixture(scope="module")
@@ -112,10 +117,24 @@ def test_a_row_of_the_thesis_has_what_was_run_below_it_or_says_that_nothing_was(
     for recipe, values in thesis["rows"].items():
         row = next(row for row in table if row[0] == f"`{recipe}`")
         assert row[2:] == ["" if np.isnan(value) else f"{value:.3f}" for value in values]
-    here = {table[i - 1][0]: row for i, row in enumerate(table) if row[1] == "here, tiny"}
-    assert here["`ewta-von-mises`"] == ["`ewta-von-mises`", "here, tiny", "", "", "", "", "", "**0.010**", ""]
-    assert here["`wta-von-mises`"][:2] == ["`small-wta`", "here, tiny"]  # which stands for it
+    here = {table[i - 1][0]: row for i, row in enumerate(table) if row[1].startswith("here, ")}
+    assert here["`ewta-von-mises`"] == ["`ewta-von-mises`", "here, tiny/near", "", "", "", "", "", "**0.010**", ""]
+    assert here["`wta-von-mises`"][:2] == ["`small-wta`", "here, tiny/far"]  # which stands for it
     assert "Not run here: `wta-cosine`, `rwta-cosine`, `rwta-von-mises`, `ewta-cosine`.\n" in page
+
+
+def test_each_result_by_a_recipe_has_its_row_beside_the_thesis(folder):
+    place = folder / "tiny"
+    shutil.copy(place / "far.toml", place / "z-again.toml")
+    shutil.copy(place / "far.json", place / "z-again.json")
+    edited(place / "z-again.json", "objects", "tetX", "predictions", "sha256", value="0" * 64)
+    change_of("far.toml", '"small-wta"', '"wta-von-mises"')(place)  # by the recipe itself; the other by its small one
+    rows = tables_of(page_of(folder))["Table 5.1, recall: mean error, rad"]
+    at = next(i for i, row in enumerate(rows) if row[0] == "`wta-von-mises`")
+    assert [row[:2] for row in rows[at + 1 : at + 3]] == [
+        ["`wta-von-mises`", "here, tiny/far"],
+        ["`small-wta`", "here, tiny/z-again"],
+    ]
 
 
 def test_how_a_result_was_made_stands_on_the_page(folder):
@@ -135,6 +154,79 @@ def test_a_strangers_words_are_text(folder):
     assert "\n# h" not in page
     row = next(line for line in page.splitlines() if "script" in line and line.startswith("|"))
     assert len(re.split(r"(?<!\\)\|", row)) == 2 + len(tables_of(page)["tetX, hypotheses"][0])
+
+
+def test_a_strangers_set_is_text(folder):
+    title = 'title = "Tiny"\n'
+    change_of("set.toml", title, title + r'notes = "<script>x</script> [y](z)\n\u202e# `h`"' + "\n")(folder / "tiny")
+    line = next(line for line in page_of(folder).splitlines() if "of the test split" in line)
+    assert line.endswith(r"of the test split. \<script\>x\</script\> \[y\](z) \# \`h\`")
+
+
+@pytest.mark.parametrize("name", ["a|b", "[x](http:evil)", "<b>", "a b", "é", "a\nb", "`"])
+def test_names_that_would_be_more_than_text_on_the_page_are_refused(name, folder):
+    place, new = folder / "tiny", name.replace("/", "")
+    for ending in ("toml", "json"):
+        (place / f"far.{ending}").rename(place / f"{new}.{ending}")
+    place.rename(folder / f"set{new}")
+    with pytest.raises(ScoresError, match=r"the leaderboard has 2 faults") as refused:
+        read_leaderboard(folder)
+    for unfit in (f"set{new}", new):
+        assert f": {unfit!r}: a name has letters, digits, '.', '_' and '-' alone" in str(refused.value)
+
+
+@pytest.mark.parametrize("file", ["set.toml", "far.toml", "far.json"])
+def test_a_pipe_in_place_of_a_file_is_refused_and_not_waited_for(file, folder):
+    path = folder / "tiny" / file
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(ScoresError, match=rf"{file}: .*regular file"):
+        read_leaderboard(folder)
+
+
+def without_figures(track, metric):
+    """Leave a metric out of all that an object's scores say."""
+
+    def change(place):
+        document = json.loads((place / "far.json").read_text())
+        entry = document["objects"]["tetX"]
+        for table in (*(entry[track][s] for s in ("all", *entry["per_image"]["strata"])), entry["per_image"][track]):
+            del table[metric]
+        (place / "far.json").write_text(json.dumps(document))
+
+    return change
+
+
+@pytest.mark.parametrize("track", ["hypotheses", "classifier"])
+def test_no_figure_of_the_page_can_be_left_out(track, folder):
+    for metric in metrics_shown(track, Place.LEADERBOARD):
+        board = Path(shutil.copytree(folder, folder.parent / metric.name))
+        without_figures(track, metric.name)(board / "tiny")
+        with pytest.raises(ScoresError, match=rf"has 1 fault:\n.*per_image\.{track}\.{metric.name}: is missing"):
+            read_leaderboard(board)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('track = "classifier"', 'track = "guesses"', "track: expected one of hypotheses, classifier, density, found"),
+        ('metric = "f_measure"', 'metric = "accuracy"', "metric: expected one of recall, precision, f_measure"),
+        (
+            "wta-cosine = [0.018,",
+            "wta-cosine = [0.018, 0.5,",
+            "rows.wta-cosine: expected a number an object, 7, found 8",
+        ),
+        ("ewta-cosine = [0.942,", "ewta-cosine = [", "rows.ewta-cosine: expected a number an object, 7, found 6"),
+        ("ewta-cosine = [0.942,", "'<b>' = [0.942,", "rows: there is no recipe '<b>' built in"),
+        ('= "small-ewta"', '= "small-etwa"', "small.ewta-von-mises: there is no recipe 'small-etwa' built in"),
+    ],
+)
+def test_tables_of_the_thesis_that_do_not_fit_are_refused(before, after, said, folder):
+    file = folder / "thesis.toml"
+    assert before in file.read_text()
+    file.write_text(file.read_text().replace(before, after, 1))
+    with pytest.raises(ScoresError, match=rf"thesis\.toml: .*{re.escape(said)}"):
+        read_leaderboard(folder)
 
 
 def change_of(file, before, after):
@@ -188,6 +280,24 @@ RECALL = ("objects", "tetX", "hypotheses", "all", "recall_mean_error_rad")
         (change_of("far.toml", '"a lab"', '" "'), "by: is empty"),
         (change_of("far.toml", "by =", "from ="), "from: is no key of a result; keys are title, by"),
         (change_of("far.toml", "by =", "by"), "far.toml: cannot be read"),
+        (change_of("far.toml", '"a lab"', 5000 * "[" + 5000 * "]"), "far.toml: cannot be read: "),
+        (change_of("far.toml", "seed = 7", "seed = -3"), "objects.tetX.seed: expected 0 or more, found -3"),
+        (
+            change_of("far.toml", "seed = 7", f"seed = 0x{5000 * 'f'}"),
+            "seed: expected a number, found one beyond 64 bits",
+        ),
+        (change_of("far.toml", "seed = 7", f"seed = {5000 * '9'}"), "far.toml: cannot be read: "),
+        (change_of("far.toml", "3.25", "nan"), "objects.tetX.minutes: expected a finite number, 0 or more, found nan"),
+        (change_of("far.toml", "3.25", "-1"), "objects.tetX.minutes: expected a finite number, 0 or more, found -1.0"),
+        (
+            change_of("far.toml", "3.25", "1\nprocessor_minutes = inf"),
+            "objects.tetX.processor_minutes: expected a finite number, 0 or more, found inf",
+        ),
+        (change_of("set.toml", f"images = {IMAGES}", "images = 0"), "set.toml: images: expected 1 or more, found 0"),
+        (change_of("set.toml", '"test"', '"<b>"'), "set.toml: split: '<b>': a name has"),
+        (change_of("set.toml", "tetX =", "'<b>' ="), "set.toml: fingerprints: '<b>': a name has"),
+        (scores_with(*RECALL, value={"value": 0.1}), "all.recall_mean_error_rad has no value with an interval"),
+        (scores_with("objects", "tetX", "per_image", "strata", value={"all": [0]}), "strata has others than shown"),
         (change_of("set.toml", f"images = {IMAGES}", "images = 1"), f"images: expected 1, found {IMAGES}"),
         (change_of("set.toml", "tetX =", "cube ="), "fingerprint: expected None"),
     ],
@@ -224,6 +334,31 @@ def test_check_writes_nothing_and_fails_where_the_page_is_old(folder, tmp_path):
     refused = run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"])
     assert "is not what" in str(refused.exception)
     assert page.read_bytes() == before
+
+
+@pytest.fixture
+def baselines():
+    """docs/baselines.py, with trainings that took a minute each."""
+    found = importlib.util.spec_from_file_location("baselines", ROOT / "docs" / "baselines.py")
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    row = {"seconds": 60.0, "processor_seconds": 30.0}
+    record = SimpleNamespace(rows=(row,), seed=0, first_stage="random", software={"device": "cpu x", "torch": "2"})
+    module.read_record = lambda _: record
+    return module
+
+
+def test_a_baseline_that_is_made_again_keeps_the_notes_of_its_file(baselines, tmp_path):
+    written = sorted(path for path in baselines.PLACE.glob("small-*.toml") if "notes = " in path.read_text())
+    assert written
+    for path in written:
+        before = tomllib.loads(path.read_text())
+        again = tomllib.loads(baselines.result(path.stem, tmp_path))
+        assert (again["notes"], list(again)) == (before["notes"], list(before))
+    baselines.PLACE = tmp_path
+    (tmp_path / "small-wta.toml").write_text(f"notes = {json.dumps(NOTES)}\n")
+    assert tomllib.loads(baselines.result("small-wta", tmp_path))["notes"] == NOTES
+    assert "notes" not in tomllib.loads(baselines.result("small-rwta", tmp_path))
 
 
 def test_a_folder_without_the_thesis_is_no_leaderboard(tmp_path):

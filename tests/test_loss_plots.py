@@ -7,11 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
 from PIL import Image
+from symsol_annot_cli.plot import plot as plot_command
 
 from symsol_annot.bench import loss_plots, toy
 from symsol_annot.bench.losses import cyclic_cosine_loss, geodesic_loss, von_mises_loss, winner_takes_all
-from symsol_annot.errors import OutputError, SymsolError
+from symsol_annot.errors import MissingExtraError, OutputError
 
 torch.set_num_threads(1)
 TOYS = {a_toy.figure: a_toy for a_toy in toy.TOYS}
@@ -193,10 +195,22 @@ def test_curves_panels_show_two_curves_over_the_whole_circle(monkeypatch, tmp_pa
             np.testing.assert_allclose(line.get_ydata(), loss_plots.summed_loss(x, np.array(curves.truths_rad), loss))
 
 
+@pytest.mark.parametrize(("options", "function"), [([], "plot_curves"), (["--toy"], "plot_toys")])
+def test_the_command_draws_curves_or_the_toy(options, function, tmp_path, monkeypatch):
+    drawn, out = [], tmp_path / "losses.svg"
+    draw = getattr(loss_plots, function)
+    monkeypatch.setattr(loss_plots, function, lambda path: (drawn.append(path), draw(path)))
+    done = CliRunner().invoke(plot_command, ["losses", *options, "--out", str(out)])
+    assert done.exit_code == 0, done.exception
+    assert done.output == f"{out}\n"
+    assert drawn == [out]
+    assert out.read_bytes().startswith(b"<?xml")
+
+
 @pytest.mark.parametrize("plot", [loss_plots.plot_curves, loss_plots.plot_toys])
 def test_pictures_fail_with_advice(plot, tmp_path, monkeypatch):
     with pytest.raises(OutputError, match="cannot be written"):
         plot(tmp_path / "no such folder" / "plot.png")
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(SymsolError, match=r"pip install 'symsol-annot\[plot\]'"):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'symsol-annot\[plot\]'"):
         plot(tmp_path / "plot.png")

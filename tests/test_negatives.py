@@ -11,7 +11,7 @@ from symsol_annot.bench.checkpoints import new_model
 from symsol_annot.bench.learners import learner_of
 from symsol_annot.bench.negatives import hard_negatives, random_rotations, rejected_candidates
 from symsol_annot.bench.recipe import ClassifierRecipe
-from symsol_annot.bench.schedules import moment_at
+from symsol_annot.bench.schedules import scheduled_values_at
 from symsol_annot.bench.training import Options, train
 from symsol_annot.bench.training_data import training_data as batches_of
 from symsol_annot.dataset import load
@@ -21,10 +21,10 @@ from symsol_annot.so3 import angle_between, rotation_deviation
 RECIPE = ClassifierRecipe(
     title="hard",
     epochs=1,
-    batch=4,
-    rates=(1e-3,),
-    rates_drop_after=(),
-    held_out=0,
+    batch_size=4,
+    learning_rates=(1e-3,),
+    milestones=(),
+    validation_images=0,
     negatives=8,
     hard_negatives=3,
     frozen_epochs=0,
@@ -83,7 +83,7 @@ def test_a_classifier_is_asked_about_the_recipe_s_share_of_them(tmp_path, monkey
         asked, logits = [], model.logits
         monkeypatch.setattr(model, "logits", lambda embeddings, R: asked.append(R) or logits(embeddings, R))
         (batch, _) = batches_of(images, 4, 0, torch.device("cpu"), with_rejected=True).batches(0)
-        learner.losses(batch, moment_at(RECIPE, 0), rng())
+        learner.losses(batch, scheduled_values_at(RECIPE, 0), rng())
     (R,) = asked
     assert R.shape == (4, 1 + 8, 3, 3)
     for of_image in R.double().numpy():

@@ -32,8 +32,8 @@ FAULTS = {
     ),
     "label transposed": (
         "symsol_annot/shard_maker.py",
-        "return ImageRecord(view, R_gt, pixels, annotation.mask)",
-        "return ImageRecord(view, R_gt.T, pixels, annotation.mask)",
+        "return ImageRecord(view, R_gt, coset_px, annotation.mask)",
+        "return ImageRecord(view, R_gt.T, coset_px, annotation.mask)",
         "test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
     ),
     "object turned the other way": (
@@ -68,7 +68,7 @@ FAULTS = {
     ),
     "candidates of shown views kept": (
         "symsol_annot/annotate.py",
-        "if is_shown(spec, pixels):",
+        "if is_shown(spec, coset_px):",
         "if not len(cosets):",
         "test_annotate.py::test_a_shown_marking_leaves_the_stabiliser",
     ),

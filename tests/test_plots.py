@@ -1,14 +1,19 @@
 """Contact sheets: pictures of plausible size that show the samples."""
 
 import sys
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from PIL import Image
 
-from symsol_annot import load
+from symsol_annot import load, plots
+from symsol_annot.canvas import label_text, new_figure, write_figure
 from symsol_annot.dataset import Sample
-from symsol_annot.errors import OutputError, SettingsError, SymsolError
+from symsol_annot.errors import MissingExtraError, OutputError, SettingsError
 from symsol_annot.plots import contact_sheet
 
 
@@ -59,6 +64,26 @@ def holds_set_points(picture):
     return (picture[..., 2].astype(int) - picture[..., 0] > 90).any()
 
 
+@pytest.mark.parametrize(
+    ("pixels", "tolerance_px", "caption"),
+    [
+        (13.25, 5, "marking shows, 13.25 px"),
+        (5, 5, "marking shows, 5 px"),
+        (4.75, 5, "hidden, 4.75 px"),
+        (0, 5, "marking hidden"),
+    ],
+)
+def test_a_caption_says_how_much_of_the_marking_shows(tetX_set, monkeypatch, pixels, tolerance_px, caption):
+    sample = replace(load(tetX_set)[3], marking_pixels=pixels, marking_visible=pixels >= tolerance_px)
+    drawn = []
+    monkeypatch.setattr(plots, "write_figure", lambda figure, _: drawn.append(figure))
+    contact_sheet([sample], Path("sheet.png"))
+    contact_sheet([sample], Path("sheet.png"), has_marking=False)
+    titles = [[axes.get_title() for axes in figure.axes] for figure in drawn]
+    size = f"|S| = {len(sample.symmetry_set)}"
+    assert titles == [["image 3", caption, size], ["image 3", "segmentation", size]]
+
+
 def test_a_sample_without_a_set_has_no_ball(tetX_set, tmp_path):
     sample = load(tetX_set)[0]
     for name, drawn in (("with", sample), ("without", sample_without_set(sample))):
@@ -94,13 +119,9 @@ def test_the_suffix_says_what_is_written_and_another_one_is_refused(tetX_set, tm
         assert not (tmp_path / name).exists()
 
 
-@pytest.mark.parametrize("module", ["matplotlib", "matplotlib.figure", "matplotlib.backends.backend_agg"])
-def test_without_matplotlib_the_error_says_how_to_install_it(tetX_set, tmp_path, monkeypatch, module):
-    monkeypatch.setitem(sys.modules, module, None)
-    if module == "matplotlib":  # its parts were imported above, and are found without it
-        for part in ("matplotlib.figure", "matplotlib.backends.backend_agg"):
-            monkeypatch.delitem(sys.modules, part)
-    with pytest.raises(SymsolError, match=r"pip install 'symsol-annot\[plot\]'"):
+def test_without_matplotlib_the_error_says_how_to_install_it(tetX_set, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'symsol-annot\[plot\]'"):
         contact_sheet(load(tetX_set)[:1], tmp_path / "sheet.png")
     assert not (tmp_path / "sheet.png").exists()
 
@@ -111,3 +132,19 @@ def test_a_picture_of_a_set_needs_no_display(tetX_set, tmp_path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "TkAgg")
     contact_sheet(load(tetX_set)[:1], tmp_path / "sheet.png")
     assert pixels_of(tmp_path / "sheet.png").std() > 0
+
+
+@pytest.mark.parametrize(
+    "name", ["$a_{$", "cost $5 and $6", r"a\$b", "$", "$$", "_mine", "__", "a_b", "\u65e5\u672c\u8a9e", "\u05d0\u05d1"]
+)
+def test_a_name_is_shown_as_it_is_in_titles_and_legends(name, tmp_path):
+    figure = new_figure(layout="constrained")
+    axes = figure.add_subplot(title=label_text(name))
+    axes.plot([0, 1], [0, 1], label=label_text(name))
+    axes.legend()
+    with rc_context({"svg.fonttype": "none"}):  # text as text
+        write_figure(figure, tmp_path / "figure.svg")
+    texts = [text.text for text in ET.parse(tmp_path / "figure.svg").iter("{http://www.w3.org/2000/svg}text")]
+    assert [text.strip() for text in texts].count(name) == 2
+    for form in ("png", "pdf"):
+        write_figure(figure, tmp_path / f"figure.{form}")

@@ -201,7 +201,6 @@ ATTRIBUTES = {
         "'format': expected 'symsol-annot predictions', found 'symsol",
     ),
     "no format": ({"format": MISSING}, "'format': expected 'symsol-annot predictions', found None"),
-    "a later version": ({"format_version": 2}, "'format_version': expected 1, found 2"),
     "a version in words": ({"format_version": "1"}, "'format_version': expected a whole number, found '1'"),
     "half a version": ({"format_version": 1.5}, "'format_version': expected a whole number, found 1.5"),
     "two versions": ({"format_version": [1, 2]}, "'format_version' is not a whole number but an array of shape (2,)"),
@@ -265,6 +264,17 @@ def test_a_wrong_attribute_is_named_with_its_track_and_with_what_was_expected_an
     assert all(f"attribute {attribute!r}" in line for line in found)
     assert all(message in line for line in found if "expected 0 to" not in line), found
     assert any(message in line for line in found)
+
+
+@pytest.mark.parametrize(
+    ("version", "said"),
+    [
+        (2, "the file: is of format version 2, newer than 1, which this symsol-annot reads: update it"),
+        (0, "the file: this version reads format_version 1, found 0"),
+    ],
+)
+def test_another_format_version_is_refused_and_a_later_one_says_what_to_do(faults, version, said):
+    assert said in faults(attributes={"format_version": version})
 
 
 def test_a_floor_may_be_a_long_double_or_a_whole_number(scores):

@@ -270,6 +270,42 @@ def test_the_cards_code_runs_in_the_bundle(bundle, tmp_path, monkeypatch, no_net
     assert names["symmetry_set"].tobytes() == others["sample"].symmetry_set.tobytes()
 
 
+@pytest.fixture(scope="module")
+def train_alone(tmp_path_factory):
+    """A folder with a set of one split, which has no symmetry sets, and its bundle."""
+    folder = tmp_path_factory.mktemp("train alone")
+    make_set(folder / "data", "tetX", train=20, test=0, annotate="test")
+    publish(sets_in(folder / "data"), folder / "bundle", About())
+    return folder
+
+
+def test_the_cards_code_runs_where_there_are_no_symmetry_sets(train_alone, tmp_path, monkeypatch, no_network):
+    monkeypatch.chdir(train_alone)
+    monkeypatch.setattr("datasets.config.HF_DATASETS_CACHE", tmp_path)
+    page = (train_alone / "bundle" / "README.md").read_text()
+    by_datasets, by_symsol_annot = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    names, others = {}, {}
+    exec(by_datasets, names)
+    exec(by_symsol_annot, others)
+    assert names["rotation"].tobytes() == others["sample"].rotation.tobytes()
+    assert "symmetry_set" not in by_datasets + by_symsol_annot
+    assert "$" not in page
+
+
+def test_the_cards_code_is_about_a_split_that_has_symmetry_sets(data, train_alone, tmp_path):
+    """Of whichever set: of the first its train split alone, of the second none, of the third its test split."""
+    for name in ("tetX", "cylO"):
+        shutil.copytree(data / name, tmp_path / "data" / name)
+    shutil.copytree(train_alone / "data" / "tetX", tmp_path / "data" / "aaa")
+    publish(sets_in(tmp_path / "data"), tmp_path / "bundle", About())
+    assert 'load_dataset(bundle, "cylO", split="test")' in (tmp_path / "bundle" / "README.md").read_text()
+    make_set(tmp_path / "other", "tetX", train=5, test=40)
+    make_set(tmp_path / "more", "tetX", train=5, test=3, annotate="all")
+    (tmp_path / "more" / "tetX").rename(tmp_path / "other" / "zzz")
+    publish(sets_in(tmp_path / "other"), tmp_path / "again", About())
+    assert 'load_dataset(bundle, "tetX", split="test")' in (tmp_path / "again" / "README.md").read_text()
+
+
 def test_size_categories_are_hugging_faces():
     cases = {0: "n<1K", 999: "n<1K", 1000: "1K<n<10K", 9999: "1K<n<10K", 50_000: "10K<n<100K", 10**8: "100M<n<1B"}
     assert {images: _size_category(images) for images in cases} == cases
@@ -308,6 +344,24 @@ def test_again_changes_nothing_and_encodes_nothing(data, tmp_path, monkeypatch):
     monkeypatch.setattr(publication, "samples_to_parquet", None)
     publish(sets_in(data / "tetX"), out, About())
     assert {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in out.rglob("*")} == before
+
+
+def test_a_finished_list_of_checksums_is_gone_while_the_bundle_is_changed(data, tmp_path, monkeypatch):
+    out, seen = tmp_path / "bundle", []
+    publish(sets_in(data / "tetX"), out, About())
+
+    def stopped(*_):
+        seen.append(sorted(path.name for path in out.glob("SHA256SUMS*")))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(publication, "card", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        publish(sets_in(data / "tetX"), out, About(title="Others"))
+    assert seen == [["SHA256SUMS.unfinished"]]
+    assert not (out / "SHA256SUMS").exists()
+    monkeypatch.undo()
+    publish(sets_in(data / "tetX"), out, About(title="Others"))
+    assert_whole(out)
 
 
 def test_other_software_makes_the_mirror_again(data, tmp_path, monkeypatch):
@@ -434,12 +488,16 @@ def test_a_list_of_somebody_elses_checksums_makes_no_bundle_of_a_folder(data, tm
 
 
 def test_what_is_hidden_in_the_folder_stays(data, tmp_path):
-    (tmp_path / "out" / ".cache").mkdir(parents=True)
-    (tmp_path / "out" / ".cache" / "notes").write_text("of who uploads")
-    publish(sets_in(data / "tetX"), tmp_path / "out", About())
-    publish(sets_in(data / "tetX"), tmp_path / "out", About())
-    assert (tmp_path / "out" / ".cache" / "notes").read_text() == "of who uploads"
-    assert ".cache" not in (tmp_path / "out" / "SHA256SUMS").read_text()
+    """At any depth, there before or put there since."""
+    out = tmp_path / "out"
+    for name in (".cache/notes", "data/.DS_Store", "data/tetX/.cache/notes", "parquet/tetX/.x.h5"):
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text("of who uploads")
+        publish(sets_in(data / "tetX"), out, About())
+        publish(sets_in(data / "tetX"), out, About())
+        assert (out / name).read_text() == "of who uploads"
+    assert not re.search(r"(  |/)\.", (out / "SHA256SUMS").read_text())
+    assert_whole(out)
 
 
 def test_the_folder_of_the_sets_itself_is_not_published_into(data):
@@ -548,29 +606,75 @@ def test_bad_input_to_the_command_is_one_message(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--title", ""),
+        ("--title", "A {b"),
+        ("--title", "}A{"),
+        ("--title", b"A \xff"),
+        ("--author", ""),
+        ("--author", "B} C"),
+        ("--version", ""),
+        ("--version", "\u0661.0.0"),
+        ("--date", ""),
+        ("--date", "\u0662\u0660\u0662\u0666-01-31"),
+        ("--url", ""),
+        ("--url", "https://"),
+        ("--url", b"https://x/\xff"),
+        ("--url", "https://x/}{"),
+        ("--url", "https://x/\\"),
+        ("--url", "https://x/y z"),
+        ("--url", "https://x/\u00e4"),
+    ],
+)
+def test_the_command_refuses_what_hosts_and_bibtex_refuse(data, tmp_path, option, value):
+    words = [*COMMAND, data / "tetX", "--out", tmp_path / "out", option, value]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.fullmatch(rf"Error: .*{option[2:]}.*: expected .*, found .*\n", done.stderr)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_takes_what_they_take(data, tmp_path):
+    url = "https://example.org/~a/b?c=1&d=%7B#e_[1];f|g"
+    given = ("--title", "{SO}(3), {{b}}", "--author", "Ä. {P}", "--author", "B", "--version", "10.0.1", "--url", url)
+    done = run(*COMMAND, data / "tetX", "--out", tmp_path / "out", *given)
+    assert done.returncode == 0, done.stderr
+    entry = re.search(r"```bibtex\n(.*?)```", (tmp_path / "out" / "README.md").read_text(), flags=re.DOTALL)[1]
+    for line in (
+        "title = {{{SO}(3), {{b}}}},",
+        "author = {{Ä. {P}} and {B}},",
+        "version = {10.0.1},",
+        f"url = {{{url}}},",
+    ):
+        assert f"  {line}\n" in entry
+    assert yaml.safe_load((tmp_path / "out" / "CITATION.cff").read_text())["url"] == url
+
+
 def test_without_pyarrow_the_command_says_what_to_install(data, tmp_path):
     blocked = "import sys; sys.modules['pyarrow'] = None; from symsol_annot_cli.main import main; main()"
     done = run(sys.executable, "-c", blocked, "publish", data / "tetX", "--out", tmp_path / "out")
     assert done.returncode == 1
-    assert done.stderr == "Error: publishing needs pyarrow: `pip install 'symsol-annot[publish]'`\n"
+    message = "publishing needs pyarrow, which is not installed: `pip install 'symsol-annot[publish]'`"
+    assert done.stderr == f"Error: {message}\n"
 
 
-def test_the_examples_see_the_same_in_a_bundle_and_in_a_shard(bundle, data, tmp_path):
+@pytest.mark.parametrize("split", ["test", "train"])
+def test_the_examples_see_the_same_in_a_bundle_and_in_a_shard(bundle, data, tmp_path, split):
     """examples/datasets_example.py reads the Parquet mirror, examples/plain_h5py.py the shards."""
     environment = {**os.environ, "HF_DATASETS_CACHE": str(tmp_path)}
-    by_datasets = run(
-        sys.executable, ROOT / "examples" / "datasets_example.py", bundle, "tetX", "test", env=environment
-    )
+    by_datasets = run(sys.executable, ROOT / "examples" / "datasets_example.py", bundle, "tetX", split, env=environment)
     assert by_datasets.returncode == 0, by_datasets.stderr
     by_h5py = []
-    for shard in sorted((data / "tetX").glob("test-*.h5")):
+    for shard in sorted((data / "tetX").glob(f"{split}-*.h5")):
         done = run(sys.executable, ROOT / "examples" / "plain_h5py.py", shard)
         assert done.returncode == 0, done.stderr
         by_h5py += [line.partition(": ")[2] for line in done.stdout.splitlines()[1:]]
     lines = [line.partition(": ")[2] for line in by_datasets.stdout.splitlines()]
     expected = [
         f"mean {sample.image.mean():.3f}, marking {'shown' if sample.marking_visible else 'not shown'}, "
-        f"{len(sample.symmetry_set)} rotations"
-        for sample in symsol_annot.load(data / "tetX")
+        + (f"{len(sample.symmetry_set)} rotations" if split == "test" else "no symmetry set")
+        for sample in symsol_annot.load(data / "tetX", split)
     ]
     assert lines == by_h5py == expected

@@ -19,7 +19,7 @@ from symsol_annot.bench.recipe import (
     recipe_from_toml,
     recipe_to_toml,
 )
-from symsol_annot.bench.schedules import moment_at
+from symsol_annot.bench.schedules import scheduled_values_at
 from symsol_annot.errors import SettingsError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -34,11 +34,11 @@ start = "random"
 hypotheses = 4
 meta_loss = "ewta"
 embedded_loss = "von-mises"
-batch = 8
+batch_size = 8
 epochs = 10
 epochs_to_one = 5
-rates = [1e-3, 1e-4]
-rates_drop_after = [8]
+learning_rates = [1e-3, 1e-4]
+milestones = [8]
 """
 
 
@@ -46,8 +46,8 @@ def recipe(name, of="tet"):
     return load_recipe(name).for_object(of, has_marking=of in MARKED)
 
 
-def moments(recipe):
-    return [moment_at(recipe, epoch) for epoch in range(recipe.epochs)]
+def schedule(recipe):
+    return [scheduled_values_at(recipe, epoch) for epoch in range(recipe.epochs)]
 
 
 def changed(text, **keys):
@@ -71,11 +71,11 @@ def refusal(text):
 def test_tables_5_1_and_5_2_have_a_recipe_a_row(name, of):
     row, meta = recipe(name, of), name.partition("-")[0]
     assert isinstance(row, HypothesisRecipe)
-    assert (row.meta_loss, row.batch, row.start) == (meta, 64, "imagenet")
+    assert (row.meta_loss, row.batch_size, row.start) == (meta, 64, "imagenet")
     assert row.embedded_loss == ("cyclic-cosine" if name.endswith("cosine") else "von-mises")
     assert row.hypotheses == (75 if of == "icosa" else 30)
     assert (row.epsilon, row.concentration) == (0.05, 4.0)
-    rates = [moment.rate for moment in moments(row)]
+    rates = [at.learning_rate for at in schedule(row)]
     expected = {
         (False, False): [1e-3] * 15 + [1e-4] * 10 + [1e-5] * 5,
         (False, True): [1e-3] * 30 + [1e-4] * 5,
@@ -87,7 +87,7 @@ def test_tables_5_1_and_5_2_have_a_recipe_a_row(name, of):
 
 @pytest.mark.parametrize(("of", "epochs_above_one"), [("tet", 20), ("icosa", 20), ("tetX", 30)])
 def test_k_is_halved_until_it_is_one(of, epochs_above_one):
-    k = [moment.winners for moment in moments(recipe("ewta-von-mises", of))]
+    k = [at.winners for at in schedule(recipe("ewta-von-mises", of))]
     assert k[0] == (75 if of == "icosa" else 30)
     assert all(later in (earlier, earlier // 2) for earlier, later in pairwise(k))
     assert [number > 1 for number in k] == [epoch < epochs_above_one for epoch in range(len(k))]
@@ -109,23 +109,23 @@ def test_table_7_1_and_figure_7_4_have_a_recipe_a_row(name, differs):
         assert isinstance(row, ClassifierRecipe)
         expected = {"start": "best-recall", "frequencies": 3, "negatives": 256, **differs}
         assert {key: getattr(row, key) for key in expected} == expected
-        assert row.batch == 32
+        assert row.batch_size == 32
         first_drop = 4 if name == "classifier-no-pretraining" and of in STARRED else 15
         rates = [1e-3] * first_drop + [1e-4] * (25 - first_drop) + [1e-5] * 5
-        assert [moment.rate for moment in moments(row)] == rates
-        assert [moment.is_frozen for moment in moments(row)] == [True] * 4 + [False] * 26
+        assert [at.learning_rate for at in schedule(row)] == rates
+        assert [at.is_frozen for at in schedule(row)] == [True] * 4 + [False] * 26
 
 
 def test_the_future_work_has_recipes_in_which_one_thing_is_new():
     annealed, smooth = recipe("ewta-von-mises-annealed"), recipe("ewta-von-mises-smooth")
-    K = [moment_at(annealed, epoch / 4).concentration for epoch in range(4 * annealed.epochs)]
+    K = [scheduled_values_at(annealed, epoch / 4).concentration for epoch in range(4 * annealed.epochs)]
     assert (K[0], K[-1]) == (0.5, 4.0)
     assert all(earlier <= later < 1.1 * earlier for earlier, later in pairwise(K))
-    k = [moment_at(smooth, epoch / 50).winners for epoch in range(50 * smooth.epochs)]
+    k = [scheduled_values_at(smooth, epoch / 50).winners for epoch in range(50 * smooth.epochs)]
     assert (k[0], k[50 * smooth.epochs_to_one - 1], k[-1]) == (30, 1, 1)
     assert set(k) == set(range(1, 31))
     assert k == sorted(k, reverse=True)
-    assert moments(annealed)[3].winners == moments(recipe("ewta-von-mises"))[3].winners
+    assert schedule(annealed)[3].winners == schedule(recipe("ewta-von-mises"))[3].winners
 
 
 def test_the_small_tier_starts_at_random_and_says_so():
@@ -145,11 +145,11 @@ def test_the_small_tier_starts_at_random_and_says_so():
         ("k1024", {"negatives": 1024}),
         ("f5", {"frequencies": 5}),
         ("hard-negatives", {"hard_negatives": 64}),
-        ("longer", {"epochs": 12, "rates_drop_after": (8, 10)}),
+        ("longer", {"epochs": 12, "milestones": (8, 10)}),
         ("no-pretraining", {"start": "random", "frozen_epochs": 0}),
         (
             "no-pretraining-slow",
-            {"start": "random", "frozen_epochs": 0, "rates": (1e-4, 1e-5), "rates_drop_after": (5,)},
+            {"start": "random", "frozen_epochs": 0, "learning_rates": (1e-4, 1e-5), "milestones": (5,)},
         ),
     ],
 )
@@ -192,13 +192,15 @@ def test_a_recipe_written_is_read_as_it_was_and_holds_every_key(name):
         made = recipe(name, of)
         text = recipe_to_toml(made)
         assert recipe_from_toml(text, "a checkpoint") == made
-        assert "batch = " in text
+        assert "batch_size = " in text
 
 
 def test_an_objects_own_keys_come_before_those_of_marked_objects():
-    file = parse_recipe(f"{GOOD}\n[marked]\nepochs = 20\nbatch = 16\n[objects.cylO]\nbatch = 32\n", "mine.toml")
+    file = parse_recipe(
+        f"{GOOD}\n[marked]\nepochs = 20\nbatch_size = 16\n[objects.cylO]\nbatch_size = 32\n", "mine.toml"
+    )
     found = [file.for_object(name, has_marking=m) for name, m in (("tet", False), ("mug", True), ("cylO", True))]
-    assert [(one.epochs, one.batch) for one in found] == [(10, 8), (20, 16), (20, 32)]
+    assert [(one.epochs, one.batch_size) for one in found] == [(10, 8), (20, 16), (20, 32)]
 
 
 # --- refusals ---
@@ -212,24 +214,24 @@ def test_a_name_that_is_none_is_refused_with_those_that_are():
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"learning_rate": 1}, "learning_rate: is no key of a hypotheses recipe; keys are title, epochs, batch"),
+        ({"learning_rate": 1}, "learning_rate: is no key of a hypotheses recipe; keys are title, epochs, batch_size"),
         ({"negatives": 8}, "negatives: is no key of a hypotheses recipe"),
-        ({"batch": None}, "batch: is missing"),
+        ({"batch_size": None}, "batch_size: is missing"),
         ({"model": '"mlp"'}, "model: expected hypotheses or classifier, found 'mlp'"),
         ({"meta_loss": '"awta"'}, "meta_loss: expected one of wta, rwta, ewta, found 'awta'"),
         ({"epochs_to_one": 10}, "k would never be 1"),
         ({"epochs_to_one": None}, "k would never be 1"),
         ({"meta_loss": '"wta"'}, "epochs_to_one: belongs to the meta loss ewta, found wta"),
-        ({"rates": "[1e-3]"}, "rates: expected one more than rates_drop_after, which are 1, found 1"),
-        ({"rates": "[1e-3, -1e-4]"}, "rates: expected numbers above 0"),
-        ({"rates": "[nan, 1e-4]"}, "rates: expected numbers above 0"),
-        ({"rates": "1e-3"}, "rates: expected a list of numbers, found 0.001"),
-        ({"rates": "[1e-3, true]"}, "rates: expected a number, found True"),
-        ({"rates_drop_after": "[10]"}, "rates_drop_after: expected epochs from 1 to 9, found [10]"),
-        ({"rates_drop_after": "[5, 5]", "rates": "[1, 1, 1]"}, "rates_drop_after: expected ascending epochs"),
+        ({"learning_rates": "[1e-3]"}, "learning_rates: expected one more than milestones, which are 1, found 1"),
+        ({"learning_rates": "[1e-3, -1e-4]"}, "learning_rates: expected numbers above 0"),
+        ({"learning_rates": "[nan, 1e-4]"}, "learning_rates: expected numbers above 0"),
+        ({"learning_rates": "1e-3"}, "learning_rates: expected a list of numbers, found 0.001"),
+        ({"learning_rates": "[1e-3, true]"}, "learning_rates: expected a number, found True"),
+        ({"milestones": "[10]"}, "milestones: expected epochs from 1 to 9, found [10]"),
+        ({"milestones": "[5, 5]", "learning_rates": "[1, 1, 1]"}, "milestones: expected ascending epochs"),
         ({"epochs": 2.5}, "epochs: expected a whole number, found 2.5"),
         ({"epochs": "true"}, "epochs: expected a whole number, found True"),
-        ({"batch": 1}, "batch: expected 2 to 65536, found 1"),
+        ({"batch_size": 1}, "batch_size: expected 2 to 65536, found 1"),
         ({"hypotheses": 0}, "hypotheses: expected 1 to 10000, found 0"),
         ({"concentration": 0}, "concentration: expected a number above 0"),
         ({"concentration_at_first": 1.0}, "expected both or neither"),
@@ -241,8 +243,8 @@ def test_a_recipe_that_makes_no_sense_is_refused(keys, said):
 
 
 def test_all_faults_are_told_at_once_with_the_table_they_are_in():
-    message = refusal(f"{changed(GOOD, batch=0, hypotheses=0)}\n[marked]\nepochs = 3\n[objects.cube]\nepoch = 3\n")
-    assert "batch: expected" in message
+    message = refusal(f"{changed(GOOD, batch_size=0, hypotheses=0)}\n[marked]\nepochs = 3\n[objects.cube]\nepoch = 3\n")
+    assert "batch_size: expected" in message
     assert "hypotheses: expected" in message
     assert "[marked]: epochs_to_one: expected 0 to 2" in message
     assert "[objects.cube]: epoch: is no key" in message

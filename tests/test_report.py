@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from symsol_annot import __version__
 from symsol_annot.bench import report
-from symsol_annot.bench.report import BENCHMARK, STRATA, TABLE
+from symsol_annot.bench.metric_table import METRICS, Place, metrics_shown
+from symsol_annot.bench.report import STRATA
 from symsol_annot.bench.scoring import score_file
 from symsol_annot.bench.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.dataset import load
@@ -118,17 +119,16 @@ def test_every_object_has_every_track_and_every_stratum_with_the_same_metrics(do
         entry = document["objects"][name]
         assert set(entry["strata"]) == set(STRATA)
         assert entry["strata"]["all"] == entry["strata"]["shown"] + entry["strata"]["hidden"] == images
-        for track in TABLE:
+        for track in METRICS:
             metrics = [list(entry[track][stratum]) for stratum in STRATA]
             assert metrics == metrics[:1] * 4
             assert len(metrics[0]) > 5
 
 
 def test_tables_name_metrics_that_there_are(document):
-    for track, rows in TABLE.items():
-        names = [metric for metric, _, _ in rows]
+    for track in METRICS:
+        names = [metric.name for metric in metrics_shown(track, Place.TABLES)]
         assert set(names) <= set(document["objects"]["cylO"][track]["all"])
-        assert set(BENCHMARK[track]) <= set(names)
 
 
 def test_the_document_says_what_it_is_about_and_with_what_it_was_made(document, sets, paths):
@@ -188,7 +188,7 @@ def test_figures_follow_from_the_images_that_the_document_lists(document):
     for entry in document["objects"].values():
         listed = entry["per_image"]
         strata = {"all": range(entry["images"]), **listed["strata"]}
-        for track in TABLE:
+        for track in METRICS:
             for metric, values in listed[track].items():
                 for stratum, images in strata.items():
                     known = [i for i in images if values[i] is not None]
@@ -248,19 +248,19 @@ def table_of(printed, name, track):
 
 
 @pytest.mark.parametrize("name", IMAGES)
-@pytest.mark.parametrize("track", TABLE)
+@pytest.mark.parametrize("track", METRICS)
 def test_a_table_is_aligned_and_has_a_column_a_stratum_and_a_row_a_metric(printed, document, name, track):
     table = table_of(printed, name, track)
     entry = document["objects"][name]
-    rows = [row for row in TABLE[track] if row[0] in entry[track]["all"]]
+    rows = [metric for metric in metrics_shown(track, Place.TABLES) if metric.name in entry[track]["all"]]
     lines = table[: 1 + len(rows)]
     assert cells(lines[0]) == [entry[track]["name"], *(f"{s} ({entry['strata'][s]})" for s in STRATA)]
     assert len({len(line) for line in lines}) == 1
-    for line, (metric, title, better) in zip(lines[1:], rows, strict=True):
-        arrow = {"higher": " ↑", "lower": " ↓", "": ""}[better]
-        assert line.startswith(title + arrow + " ")
+    for line, metric in zip(lines[1:], rows, strict=True):
+        arrow = {"higher": " ↑", "lower": " ↓", "": ""}[metric.better]
+        assert line.startswith(("  " if metric.is_detail else "") + metric.title + arrow + " ")
         for stratum, cell in zip(STRATA, cells(line)[1:], strict=True):
-            assert_cell_says(cell, entry[track][stratum][metric])
+            assert_cell_says(cell, entry[track][stratum][metric.name])
 
 
 def assert_cell_says(cell, figure):
@@ -306,7 +306,8 @@ def test_small_figures_are_not_shown_as_nothing(value, shown, signed):
 
 def test_several_files_give_the_benchmarks_table(printed, document):
     table = printed[printed.index("all objects, all images") :]
-    for track, metrics in BENCHMARK.items():
+    for track in METRICS:
+        metrics = [metric.name for metric in metrics_shown(track, Place.SUMMARY)]
         lines = next(block for block in blocks(table) if block[0].startswith(track))
         assert cells(lines[0]) == [track, *IMAGES, "mean"]
         assert len(lines) == 1 + len(metrics)

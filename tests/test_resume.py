@@ -15,7 +15,7 @@ import pytest
 from conftest import SIZE, make_plan, make_set, threads
 from numpy_renderer import NumpyRenderer
 
-from symsol_annot import files
+from symsol_annot import locks
 from symsol_annot.errors import ClusterError, DataError, OutputError
 from symsol_annot.events import ImagesMade, ShardFinished, Started, StrangersFound, WorkersGone
 from symsol_annot.executors import in_process
@@ -129,7 +129,7 @@ def test_a_file_system_without_locks_is_no_error(whole, tmp_path, monkeypatch, c
     def refuse(*_):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(files.fcntl, "flock", refuse)
+    monkeypatch.setattr(locks.fcntl, "flock", refuse)
     generate(PLAN, tmp_path / "tetX", threads(open_renderer))
     assert contents(tmp_path / "tetX") == contents(whole)
 

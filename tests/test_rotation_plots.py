@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
@@ -134,6 +135,42 @@ def test_plot_sets_draws_the_predictions_of_a_file_over_the_truth(tetX_set, tmp_
         assert sizes[kind, "classifier"] > sizes[kind, "hypotheses"] > sizes[kind, None]  # more and more marks
 
 
+@pytest.mark.parametrize("track", ["hypotheses", "classifier"])
+def test_plot_sets_draws_over_each_image_what_the_file_says_of_that_image(tetX_set, tmp_path, monkeypatch, track):
+    images, path, out = load(tetX_set), tmp_path / "preds.h5", tmp_path / "sets.png"
+    R = uniform_rotations(3 * len(images), np.random.default_rng(2)).reshape(-1, 3, 3, 3)
+    write_hypotheses(path, images, R, method="mine")
+    own = images.labels().rotation @ images.symmetry_group[4]
+
+    def claim(image, rotations):
+        return 1.0 * (np.abs(rotations - own[image]).max(axis=(1, 2)) < 1e-6)
+
+    write_classifier(path, images, claim, method="mine", level=0, progress=False)
+    calls = []
+    monkeypatch.setattr("symsol_annot_cli.plot.plot_sets", lambda *arguments: calls.append(arguments))
+    words = ["sets", str(tetX_set), "--image", "7", "--image", "2", "--predictions", str(path), "--out", str(out)]
+    done = CliRunner().invoke(plot, [*words, "--track", track, "--kind", "mollweide"])
+    assert done.exit_code == 0, done.exception
+    ((samples, *rest, predicted, title),) = calls
+    assert [sample.index for sample in samples] == [7, 2]
+    assert rest == [out, "mollweide"]
+    assert title == "tetX, test: mine"
+    wanted = R[[7, 2]] if track == "hypotheses" else own[[7, 2], None]
+    assert [len(rotations) for rotations in predicted] == [wanted.shape[1]] * 2
+    assert np.allclose(np.stack(predicted), wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["$a_{$", "cost $5 and $6", "\u65e5\u672c\u8a9e"])
+def test_plot_sets_takes_any_name_of_a_method(tetX_set, tmp_path, method):
+    images = load(tetX_set)
+    write_hypotheses(tmp_path / "preds.h5", images, images.labels().rotation[:, None], method=method)
+    words = ["sets", str(tetX_set), "--predictions", str(tmp_path / "preds.h5"), "--out", str(tmp_path / "sets.svg")]
+    with rc_context({"svg.fonttype": "none"}):  # text as text
+        done = CliRunner().invoke(plot, words)
+    assert done.exit_code == 0, done.exception
+    assert f"tetX, test: {method}<" in (tmp_path / "sets.svg").read_text()
+
+
 def test_plot_sets_refuses_what_is_not_there(tetX_set, tmp_path):
     images = load(tetX_set)
     write_hypotheses(tmp_path / "preds.h5", images, images.labels().rotation[:, None], method="mine")
@@ -142,6 +179,7 @@ def test_plot_sets_refuses_what_is_not_there(tetX_set, tmp_path):
     for words, said in (
         (["--image", "40"], "--image 40: the split has 40 images, from 0"),
         ([*given, "--track", "density"], "has hypotheses"),
+        (["--track", "hypotheses"], "--track hypotheses: is of --predictions, which is not given"),
     ):
         done = CliRunner().invoke(plot, [*start, *words])
         assert done.exit_code == 2

@@ -2,13 +2,16 @@
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib import rc_context
 from symsol_annot_cli.plot import plot
 
 from symsol_annot.bench import score_plots
+from symsol_annot.canvas import write_figure
 from symsol_annot.errors import ScoresError
 
 REFERENCE = Path(__file__).resolve().parent.parent / "docs" / "results" / "reference"
@@ -23,8 +26,8 @@ def figures(monkeypatch):
     return drawn
 
 
-def of_file(path, name, track, stratum, metric):
-    return json.loads(path.read_text())["objects"][name][track][stratum][metric]["value"]
+def of_file(path, name, track, stratum, metric, what="value"):
+    return json.loads(path.read_text())["objects"][name][track][stratum][metric][what]
 
 
 @pytest.mark.parametrize("stratum", ["all", "shown"])
@@ -47,7 +50,37 @@ def test_points_are_coverage_and_accuracy_at_each_angle(figures):
         assert list(line.get_xdata()) == [1, 2, 5, 10, 15, 30]
         wanted = [of_file(SPREAD, "cylO", "hypotheses", "all", f"{what}_at_{t}_deg") for t in (1, 2, 5, 10, 15, 30)]
         assert np.allclose(line.get_ydata(), wanted)
-    assert len(axes.collections) == 2  # their intervals
+    for area, what in zip(axes.collections, ("coverage", "accuracy"), strict=True):
+        corners = {tuple(corner) for corner in area.get_paths()[0].vertices.round(9)}
+        wanted = {
+            (angle, round(of_file(SPREAD, "cylO", "hypotheses", "all", f"{what}_at_{angle}_deg", end), 9))
+            for angle in (1, 2, 5, 10, 15, 30)
+            for end in ("low", "high")
+        }
+        assert corners == wanted
+
+
+NAMES = ["$a_{$", "cost $5 and $6", "_mine", "\u65e5\u672c\u8a9e"]
+
+
+@pytest.mark.parametrize("method", NAMES)
+@pytest.mark.parametrize(("command", "label"), [("precision-recall", "{}"), ("coverage", "coverage, {}")])
+def test_the_legend_names_each_method_as_its_file_does(command, label, method, tmp_path):
+    scores, out = tmp_path / "scores.json", tmp_path / "curve.svg"
+    scores.write_text(json.dumps({**json.loads(TRUTH.read_text()), "method": method}))
+    with rc_context({"svg.fonttype": "none"}):  # text as text
+        done = CliRunner().invoke(plot, [command, str(scores), str(ROUNDED), "--object", "tetX", "--out", str(out)])
+    assert done.exit_code == 0, done.exception
+    texts = [text.text.strip() for text in ET.parse(out).iter("{http://www.w3.org/2000/svg}text")]
+    assert texts.count(label.format(method)) == 1
+
+
+@pytest.mark.parametrize("draw", [score_plots.plot_precision_recall, score_plots.plot_coverage])
+def test_a_stratum_without_figures_is_drawn_without_a_legend(draw, figures, tmp_path):
+    draw([TRUTH, ROUNDED], Path("x.png"), "tetX", "barely")
+    (axes,) = figures[0].axes
+    assert axes.get_legend() is None
+    write_figure(figures[0], tmp_path / "x.png")
 
 
 @pytest.mark.parametrize("command", ["precision-recall", "coverage"])

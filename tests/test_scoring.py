@@ -27,6 +27,7 @@ from scoring_oracle import (
 
 from symsol_annot.bench import tracks
 from symsol_annot.bench.averages import figures, merge
+from symsol_annot.bench.metric_table import METRICS, RANKED_BY, Place, metric_of
 from symsol_annot.bench.queries import Queries
 from symsol_annot.bench.scorers import ClassifierScorer, DensityScorer, HypothesesScorer
 from symsol_annot.bench.scoring import score_file, table_of
@@ -339,6 +340,43 @@ def test_query_rotations_are_those_of_the_documented_stream(sets, name):
     for i in (0, 7):
         found = Queries(truth.fingerprint, truth.group).rotations(i, truth.rotation[i])
         np.testing.assert_allclose(found, queries(truth.fingerprint, i, truth.rotation[i], truth.group), atol=1e-12)
+
+
+# --- the table of metrics ---
+
+
+@pytest.fixture(scope="module")
+def every_metric(sets, tmp_path_factory):
+    """Scores with all that scorers return: of an object with arcs, down to the lowest floor."""
+    folder, truths = sets
+    path = write_messy(tmp_path_factory.mktemp("every") / "preds.h5", truths["cylO"], Style(level=0, floor=0.0))
+    return score_file(path, folder).tracks
+
+
+def test_the_table_has_each_metric_that_a_scorer_returns_once_and_no_other(every_metric):
+    assert set(every_metric) == set(METRICS)
+    for track, metrics in METRICS.items():
+        assert sorted(metric.name for metric in metrics) == sorted(every_metric[track].per_image.values)
+
+
+def test_metrics_are_pooled_that_weigh_an_image_by_its_set(sets, every_metric):
+    sizes = np.array([sum(mask) for mask in sets[1]["cylO"].mask])
+    assert len(set(sizes)) > 2
+    for track, metrics in METRICS.items():
+        for metric in metrics:
+            table = every_metric[track].per_image
+            expected = sizes if metric.is_pooled else np.ones(len(sizes))
+            is_defined = ~np.isnan(table.values[metric.name])
+            assert table.weights[metric.name].tolist() == np.where(is_defined, expected, 0).tolist(), metric
+
+
+def test_what_tables_show_has_a_title_and_what_ranks_is_better_on_one_side_and_has_a_column():
+    for track, metrics in METRICS.items():
+        assert [metric for metric in metrics if bool(metric.title) != (metric.place > Place.FILE)] == []
+        assert not metrics[0].is_detail
+        by = metric_of(track, RANKED_BY[track])
+        assert by.better
+        assert by.place >= Place.LEADERBOARD
 
 
 # --- unmoved by what must not matter: files ---

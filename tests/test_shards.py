@@ -15,7 +15,9 @@ import pytest
 
 from symsol_annot.errors import DataError
 from symsol_annot.scene import View
-from symsol_annot.shards import ImageRecord, ShardHeader, ShardWriter, content_sha256, open_shard
+from symsol_annot.shard_header import ShardHeader
+from symsol_annot.shard_writer import ImageRecord, ShardWriter
+from symsol_annot.shards import content_sha256, open_shard
 
 COUNT, HEIGHT, WIDTH = 5, 12, 16  # not square, so that height and width cannot be swapped
 GROUP = np.array([[[c, -s, 0], [s, c, 0], [0, 0, 1]] for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))], dtype=float)

@@ -15,11 +15,12 @@ from bench_sets import DiscRenderer
 from conftest import make_plan, make_set, threads
 from symsol_annot_cli.main import main
 
-from symsol_annot.bench import checkpoints, training, training_data
-from symsol_annot.bench.checkpoints import best_epoch, open_checkpoint, read_about
+from symsol_annot.bench import checkpoints, pretraining, training, training_data
+from symsol_annot.bench.checkpoints import best_epoch, open_checkpoint, read_record
 from symsol_annot.bench.devices import largest_that_fits
 from symsol_annot.bench.inference import predict
 from symsol_annot.bench.learners import HypothesisLearner
+from symsol_annot.bench.metric_table import METRICS
 from symsol_annot.bench.pretraining import best_network, trained_networks
 from symsol_annot.bench.recipe import ClassifierRecipe, HypothesisRecipe
 from symsol_annot.bench.scoring import score_file
@@ -35,10 +36,10 @@ torch.set_num_threads(1)
 HYPOTHESES = HypothesisRecipe(
     title="tiny",
     epochs=4,
-    batch=8,
-    rates=(1e-3, 1e-4),
-    rates_drop_after=(3,),
-    held_out=4,
+    batch_size=8,
+    learning_rates=(1e-3, 1e-4),
+    milestones=(3,),
+    validation_images=4,
     hypotheses=4,
     meta_loss="ewta",
     embedded_loss="von-mises",
@@ -48,10 +49,10 @@ HYPOTHESES = HypothesisRecipe(
 CLASSIFIER = ClassifierRecipe(
     title="tiny",
     epochs=4,
-    batch=8,
-    rates=(1e-3, 1e-4),
-    rates_drop_after=(3,),
-    held_out=4,
+    batch_size=8,
+    learning_rates=(1e-3, 1e-4),
+    milestones=(3,),
+    validation_images=4,
     negatives=16,
     frozen_epochs=2,
     start="random",
@@ -123,9 +124,9 @@ def test_a_handful_of_images_is_learnt_by_heart_and_scores_a_recall_over_0_9(tmp
     for name in ("save", "publish"):  # a few images make many epochs; only the last is kept
         keep = getattr(checkpoints, name)
         monkeypatch.setattr(checkpoints, name, lambda *given, keep=keep: given[1].is_finished and keep(*given))
-    schedule = {"epochs": 30, "rates_drop_after": (20,), "held_out": 0}
+    schedule = {"epochs": 30, "milestones": (20,), "validation_images": 0}
     wta = replace(HYPOTHESES, **schedule, meta_loss="wta", epochs_to_one=None)
-    schedule = {"epochs": 180, "rates_drop_after": (160,), "held_out": 0, "frozen_epochs": 179}
+    schedule = {"epochs": 180, "milestones": (160,), "validation_images": 0, "frozen_epochs": 179}
     frozen = replace(CLASSIFIER, **schedule, start="best-recall")
     path = tmp_path / "preds.h5"
     with load(tmp_path / "cylO", "train") as images:
@@ -148,43 +149,55 @@ def test_a_folder_holds_weights_state_recipe_figures_and_a_curve(name, trained):
     assert {path.name for path in folder.iterdir()} == {
         *("weights.safetensors", "best.safetensors", "state.safetensors", "recipe.toml", "metrics.csv", "curve.png"),
     }
-    about = read_about(folder / "weights.safetensors")
-    assert (about.name, about.recipe, about.object, about.image_size) == (name, RECIPES[name], "tetX", (16, 16))
-    assert about.software["torch"] == torch.__version__
+    record = read_record(folder / "weights.safetensors")
+    assert (record.name, record.recipe, record.object, record.image_size) == (name, RECIPES[name], "tetX", (16, 16))
+    assert record.software["torch"] == torch.__version__
     with (folder / "metrics.csv").open() as file:
         rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
-    assert rows == [dict(row) for row in about.rows]
+    assert rows == [dict(row) for row in record.rows]
     assert [row["epoch"] for row in rows] == [1, 2, 3, 4]
-    assert [row["rate"] for row in rows] == [1e-3, 1e-3, 1e-3, 1e-4]
-    best = best_epoch(about)
-    best_rows = read_about(folder / "best.safetensors").rows
+    assert [row["learning_rate"] for row in rows] == [1e-3, 1e-3, 1e-3, 1e-4]
+    best = best_epoch(record)
+    best_rows = read_record(folder / "best.safetensors").rows
     assert len(best_rows) == best
-    assert best_rows == about.rows[:best]
+    assert best_rows == record.rows[:best]
     assert (folder / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_figures_of_validation_images_are_those_of_the_table_and_what_chooses_is_among_them(trained):
+    for track, folder in trained.items():
+        names = set(read_record(folder / "weights.safetensors").rows[-1])
+        figures = names & {metric.name for metric in METRICS[track]}
+        told = {"epoch", "loss", "learning_rate", "images_per_second", "seconds", "processor_seconds"}
+        assert names - figures == told | ({"winners", "concentration"} if track == "hypotheses" else {"is_frozen"})
+        assert checkpoints._BEST_BY[track] in figures
+        if track == "hypotheses":
+            assert {name for names in pretraining._ERRORS.values() for name in names} <= figures
+
+
 def test_k_and_freezing_follow_the_recipe(trained):
-    k = [row["winners"] for row in read_about(trained["hypotheses"] / "weights.safetensors").rows]
-    frozen = [row["is_frozen"] for row in read_about(trained["classifier"] / "weights.safetensors").rows]
+    k = [row["winners"] for row in read_record(trained["hypotheses"] / "weights.safetensors").rows]
+    frozen = [row["is_frozen"] for row in read_record(trained["classifier"] / "weights.safetensors").rows]
     assert k == [4, 4, 2, 1]
     assert frozen == [1, 1, 0, 0]
 
 
 def test_a_frozen_first_stage_is_that_of_the_network_it_began_with(trained, images, tmp_path):
-    recipe = replace(CLASSIFIER, epochs=1, rates=(1e-3,), rates_drop_after=(), frozen_epochs=1, start="best-recall")
+    recipe = replace(CLASSIFIER, epochs=1, learning_rates=(1e-3,), milestones=(), frozen_epochs=1, start="best-recall")
     recipe = replace(recipe, epochs=1, frozen_epochs=1)
-    about = train(recipe, images, tmp_path / "c", replace(CPU, pretrained=(trained["hypotheses"],)))
+    record = train(recipe, images, tmp_path / "c", replace(CPU, pretrained=(trained["hypotheses"],)))
     ours, theirs = (read_weights(folder / "weights.safetensors") for folder in (tmp_path / "c", trained["hypotheses"]))
     stage = [name for name in ours if name.startswith("first_stage.")]
     assert len(stage) > 100
     assert all(torch.equal(ours[name], theirs[name]) for name in stage)
-    assert about.first_stage.startswith("hypotheses, sha256 ")
+    assert record.first_stage.startswith("hypotheses, sha256 ")
 
 
 def test_epochs_stretch_the_schedule(images, tmp_path):
-    about = train(HYPOTHESES, images, tmp_path / "run", replace(CPU, epochs=2))
-    assert [row["rate"] for row in about.rows] == [1e-3, 1e-4]  # of an epoch the last moment: 1.5 and 3.5 of 4
-    assert about.is_finished
+    record = train(HYPOTHESES, images, tmp_path / "run", replace(CPU, epochs=2))
+    rates = [row["learning_rate"] for row in record.rows]
+    assert rates == [1e-3, 1e-4]  # of an epoch the last moment: 1.5 and 3.5 of 4
+    assert record.is_finished
 
 
 # --- going on ---
@@ -206,7 +219,7 @@ def test_going_on_gives_the_weights_of_not_stopping(name, stops, trained, images
     out = tmp_path / "run"
     with pytest.raises(StopError):
         train(RECIPES[name], images, out, CPU, name=name, on_images=stop_in_the_middle)
-    assert read_about(out / "weights.safetensors").epochs_done == stops
+    assert read_record(out / "weights.safetensors").epochs_done == stops
     (out / "weights.safetensors").unlink()  # as if it had been stopped between two files
     begun = []
     train(
@@ -219,8 +232,8 @@ def test_going_on_gives_the_weights_of_not_stopping(name, stops, trained, images
 
 def test_a_finished_training_is_left_as_it_is(trained, images):
     before = (trained["hypotheses"] / "state.safetensors").read_bytes()
-    about = train(HYPOTHESES, images, trained["hypotheses"], CPU, name="hypotheses")
-    assert about.is_finished
+    record = train(HYPOTHESES, images, trained["hypotheses"], CPU, name="hypotheses")
+    assert record.is_finished
     assert (trained["hypotheses"] / "state.safetensors").read_bytes() == before
 
 
@@ -230,7 +243,7 @@ def test_another_seed_is_another_training(trained, images):
     with pytest.raises(TrainingError, match=r"holds another training; nothing was touched.*\n  - seed: there 0"):
         train(HYPOTHESES, images, trained["hypotheses"], replace(CPU, seed=1), name="hypotheses")
     with pytest.raises(TrainingError, match=r"\n  - recipe: there HypothesisRecipe"):
-        train(replace(HYPOTHESES, batch=4), images, trained["hypotheses"], CPU, name="hypotheses")
+        train(replace(HYPOTHESES, batch_size=4), images, trained["hypotheses"], CPU, name="hypotheses")
 
 
 # --- batches ---
@@ -272,17 +285,17 @@ def test_workers_read_the_same_images_where_memory_is_too_small(images, monkeypa
 
 
 def test_the_best_network_has_the_lowest_error_and_on_a_tie_the_lower_other(trained, tmp_path):
-    like = read_about(trained["hypotheses"] / "weights.safetensors")
+    like = read_record(trained["hypotheses"] / "weights.safetensors")
     errors = {"a": (0.1004, 0.30), "b": (0.1001, 0.20), "c": (0.20, 0.10), "unfinished": (0.0, 0.0)}
     for name, (recall, precision) in errors.items():
         (tmp_path / name).mkdir()
         known = json.loads(json.dumps(list(like.rows)))
         known[-1] |= {"recall_mean_error_rad": recall, "precision_mean_error_rad": precision}
-        about = replace(like, rows=tuple(known[: 3 if name == "unfinished" else 4]))
+        record = replace(like, rows=tuple(known[: 3 if name == "unfinished" else 4]))
         copy_of(
             trained["hypotheses"] / "weights.safetensors",
             tmp_path / name / "weights.safetensors",
-            metadata=checkpoints._metadata(about),
+            metadata=checkpoints._metadata(record),
         )
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "weights.safetensors").write_bytes(b"not ours")
@@ -298,9 +311,9 @@ def test_no_network_or_one_that_does_not_fit_is_refused(trained, images, tmp_pat
         train(recipe, images, tmp_path / "alone" / "run", CPU)
     with pytest.raises(WeightsError, match="expected a hypothesis network"):
         train(recipe, images, tmp_path / "run", replace(CPU, pretrained=(trained["classifier"],)))
-    about = replace(read_about(trained["hypotheses"] / "weights.safetensors"), image_size=(224, 224))
+    record = replace(read_record(trained["hypotheses"] / "weights.safetensors"), image_size=(224, 224))
     with pytest.raises(WeightsError, match=r"was trained on \(16, 16\), the set has \(224, 224\)"):
-        best_network([trained["hypotheses"]], about, "best-recall")
+        best_network([trained["hypotheses"]], record, "best-recall")
     assert not (tmp_path / "run").exists()
 
 
@@ -316,10 +329,10 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_epoch(images, t
         return losses(*arguments) * (float("nan") if calls > 4 else 1.0)
 
     monkeypatch.setattr(HypothesisLearner, "losses", broken)
-    with pytest.raises(TrainingError, match=r"no longer finite in epoch 3: a rate of 0.001 .* keeps epoch 2"):
+    with pytest.raises(TrainingError, match=r"no longer finite in epoch 3: a learning rate of 0.001 .* keeps epoch 2"):
         train(HYPOTHESES, images, tmp_path / "run", CPU, name="hypotheses")
     kept = open_checkpoint(tmp_path / "run")
-    assert kept.about.epochs_done == 2
+    assert kept.record.epochs_done == 2
     assert all(tensor.isfinite().all() for tensor in kept.model.state_dict().values())
 
 
@@ -333,7 +346,7 @@ def test_a_gpu_that_is_too_small_says_the_batch_that_fits(images, tmp_path, monk
 
     monkeypatch.setattr(HypothesisLearner, "losses", hungry)
     with pytest.raises(
-        TrainingError, match=r"too small for a batch of 8 images; 2 fit: set batch = 2.*Nothing was kept"
+        TrainingError, match=r"too small for a batch of 8 images; 2 fit: set batch_size = 2.*Nothing was kept"
     ):
         train(HYPOTHESES, images, tmp_path / "run", CPU)
     assert not (tmp_path / "run").exists()
@@ -343,23 +356,32 @@ def test_halving_ends_with_none_where_not_even_one_fits():
     def never(_):
         raise torch.cuda.OutOfMemoryError
 
+    def hungry(batch_size):
+        if batch_size > 20:
+            raise torch.cuda.OutOfMemoryError
+        return f"{batch_size} images"
+
     assert largest_that_fits(never, 64) is None
-    assert largest_that_fits(lambda _: None, 64) == 32
+    assert largest_that_fits(hungry, 0) is None
+    assert largest_that_fits(hungry, 64) == (16, "16 images")
+    assert largest_that_fits(hungry, 7) == (7, "7 images")
 
 
 def test_a_split_without_sets_is_trained_on_only_without_scores(tmp_path):
     folder = make_set(tmp_path, "tetX", train=10, test=2, size=16, annotate="test")
     with load(folder, "train") as images:
-        with pytest.raises(NotAnnotatedError, match=r"--annotate all.*--held-out 0"):
+        with pytest.raises(NotAnnotatedError, match=r"--annotate all.*--validation-images 0"):
             train(HYPOTHESES, images, tmp_path / "run", CPU)
-        about = train(replace(HYPOTHESES, held_out=0, epochs=4), images, tmp_path / "run", replace(CPU, epochs=1))
-    assert "recall_mean_error_rad" not in about.rows[0]
+        record = train(
+            replace(HYPOTHESES, validation_images=0, epochs=4), images, tmp_path / "run", replace(CPU, epochs=1)
+        )
+    assert "recall_mean_error_rad" not in record.rows[0]
     assert not (tmp_path / "run" / "best.safetensors").exists()
 
 
-def test_held_out_images_that_leave_none_and_a_device_that_is_not_here_are_refused(images, tmp_path):
-    with pytest.raises(SettingsError, match=r"has 20 images, of which the recipe holds out 19; 2 or more"):
-        train(replace(HYPOTHESES, held_out=19), images, tmp_path / "run", CPU)
+def test_validation_images_that_leave_none_and_a_device_that_is_not_here_are_refused(images, tmp_path):
+    with pytest.raises(SettingsError, match=r"has 20 images, of which the recipe takes 19 for validation; 2 or more"):
+        train(replace(HYPOTHESES, validation_images=19), images, tmp_path / "run", CPU)
     for name in ("cuda:9", "gpu"):
         with pytest.raises(SettingsError, match=f"there is no '{name}' here"):
             train(HYPOTHESES, images, tmp_path / "run", replace(CPU, device=name))
@@ -379,7 +401,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused(damage, trained, tmp_path):
             said = "no checkpoint of `symsol-annot train`"
         case "of a later version":
             copy_of(whole, path, metadata={"format_version": "2"})
-            said = "is of format version 2, this program reads 1"
+            said = "is of format version 2, newer than 1, .* update it"
         case "another architecture":
             copy_of(whole, path, lambda tensors: tensors.update(extra=tensors.pop("output.bias")))
             said = r"not the weights of its recipe, hypotheses:\n  - 1 missing: output.bias"
@@ -427,11 +449,11 @@ start = "random"
 hypotheses = 4
 meta_loss = "wta"
 embedded_loss = "cyclic-cosine"
-batch = 8
+batch_size = 8
 epochs = 1
-rates = [1e-3]
-rates_drop_after = []
-held_out = 4
+learning_rates = [1e-3]
+milestones = []
+validation_images = 4
 """
 
 
@@ -462,8 +484,8 @@ def test_the_command_lists_recipes(here):
         (["no-such-recipe"], "no such file, and no built-in recipe of that name"),
         (["small-wta", "--data", "nowhere"], "nowhere: expected a set to train on, found none"),
         (["small-wta", "--object", "cube"], "holds no set of the object 'cube'"),
-        (["small-wta"], "of which the recipe holds out 200"),
-        (["small-wta", "--held-out", "0", "--device", "cuda:7"], "there is no 'cuda:7' here"),
+        (["small-wta"], "of which the recipe takes 200 for validation"),
+        (["small-wta", "--validation-images", "0", "--device", "cuda:7"], "there is no 'cuda:7' here"),
     ],
 )
 def test_train_refuses_in_one_message(words, said, data, here, tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 """Checkpoints: a folder of what a training has come to, in files that hold numbers and text and no code.
 
-    weights.safetensors   the model after the last finished epoch; its metadata holds the recipe and all about the run
-    best.safetensors      the same after the epoch that was best on the held-out images
+    weights.safetensors   the model after the last finished epoch; its metadata holds recipe and record
+    best.safetensors      the same after the epoch that was best on the validation images
     state.safetensors     what training goes on from: weights, and Adam's means
     recipe.toml, metrics.csv, curve.png   to look at; nothing reads them
 
@@ -25,6 +25,8 @@ from torch import nn
 
 import symsol_annot
 from symsol_annot.bench.devices import hardware
+from symsol_annot.bench.format import version_fault
+from symsol_annot.bench.metric_table import HIGHER, metric_of
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
 from symsol_annot.bench.recipe import HypothesisRecipe, Recipe, recipe_from_toml, recipe_to_toml
 from symsol_annot.bench.weights import Weights, load_weights, read_weights
@@ -35,6 +37,7 @@ from symsol_annot.files import write_atomically
 WEIGHTS, BEST, STATE = "weights.safetensors", "best.safetensors", "state.safetensors"
 RECIPE, METRICS, CURVE = "recipe.toml", "metrics.csv", "curve.png"
 _FORMAT, _FORMAT_VERSION = "symsol-annot checkpoint", 1
+_BEST_BY = {"hypotheses": "recall_mean_error_rad", "classifier": "f_measure"}  # of the epochs
 _MEANS = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
 _SETTING = ("recipe", "object", "image_size", "train_fingerprint", "epochs", "seed")  # what decides the weights
 
@@ -42,7 +45,7 @@ Row = dict[str, float]
 
 
 @dataclass(frozen=True)
-class About:
+class TrainingRecord:
     """What is known of a training.
 
     Attributes:
@@ -79,7 +82,7 @@ class About:
         """Whether all are."""
         return self.epochs_done == self.epochs
 
-    def differences(self, other: "About") -> list[str]:
+    def differences(self, other: "TrainingRecord") -> list[str]:
         """Say in what another training differs, a line each, so that it does not go on from this one."""
         return [
             f"{name}: there {getattr(self, name)!r}, asked for {getattr(other, name)!r}"
@@ -94,12 +97,12 @@ class Checkpoint:
 
     Attributes:
         path: of its weights.
-        about: what is known of its training.
+        record: what is known of its training.
         model: in eval mode, on the CPU.
     """
 
     path: Path
-    about: About
+    record: TrainingRecord
     model: HypothesisNetwork | RotationClassifier
 
     def refuse_other_images(self, dataset: Dataset) -> None:
@@ -108,17 +111,17 @@ class Checkpoint:
         Raises:
             ModelError: they are of another object or size.
         """
-        about, camera = self.about, dataset.manifest.recipe["camera"]
-        if about.object != dataset.object:
+        record, camera = self.record, dataset.manifest.recipe["camera"]
+        if record.object != dataset.object:
             raise ModelError(
-                f"{self.path}: was trained on {about.object}, the set in {dataset.folder} is of {dataset.object}; "
+                f"{self.path}: was trained on {record.object}, the set in {dataset.folder} is of {dataset.object}; "
                 "name another with --data"
             )
         size = (camera["width"], camera["height"])
-        if about.image_size != size:
+        if record.image_size != size:
             raise ModelError(
-                f"{self.path}: was trained on images of {'x'.join(map(str, about.image_size))} pixels, those in "
-                f"{dataset.folder} have {'x'.join(map(str, size))}; render a set with --size {about.image_size[0]}"
+                f"{self.path}: was trained on images of {'x'.join(map(str, record.image_size))} pixels, those in "
+                f"{dataset.folder} have {'x'.join(map(str, size))}; render a set with --size {record.image_size[0]}"
             )
 
 
@@ -143,13 +146,13 @@ def open_checkpoint(path: Path) -> Checkpoint:
         WeightsError: there is none, it is damaged, of another program, or its weights are not its recipe's.
     """
     file = path / WEIGHTS if path.is_dir() else path
-    about = read_about(file)
-    model = new_model(about.recipe, None, 0)
-    load_weights(model, read_weights(file), str(file), f"the weights of its recipe, {about.name}")
-    return Checkpoint(file, about, model.eval())
+    record = read_record(file)
+    model = new_model(record.recipe, None, 0)
+    load_weights(model, read_weights(file), str(file), f"the weights of its recipe, {record.name}")
+    return Checkpoint(file, record, model.eval())
 
 
-def read_about(file: Path) -> About:
+def read_record(file: Path) -> TrainingRecord:
     """Return what a checkpoint's file says of its training, without reading the weights.
 
     Raises:
@@ -166,17 +169,16 @@ def read_about(file: Path) -> About:
         raise WeightsError(
             f"{file}: holds no recipe, so it is no checkpoint of `symsol-annot train`, whose files end in .safetensors"
         )
-    if metadata.get("format_version") != str(_FORMAT_VERSION):
-        raise WeightsError(
-            f"{file}: is of format version {metadata.get('format_version')}, this program reads {_FORMAT_VERSION}"
-        )
+    found = metadata.get("format_version", "")
+    if fault := version_fault(int(found) if found.isdecimal() else found, _FORMAT_VERSION):
+        raise WeightsError(f"{file}: {fault}")
     try:
-        return _about(metadata, str(file))
+        return _record(metadata, str(file))
     except (KeyError, TypeError, ValueError, AttributeError, SettingsError) as error:
         raise WeightsError(f"{file}: what it says of its training is damaged: {error}") from None
 
 
-def save(folder: Path, about: About, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
+def save(folder: Path, record: TrainingRecord, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
     """Write state.safetensors, whole or not at all.
 
     Raises:
@@ -186,20 +188,20 @@ def save(folder: Path, about: About, model: nn.Module, optimizer: torch.optim.Op
     for name, parameter in model.named_parameters():
         known = optimizer.state.get(parameter, {})
         tensors |= {f"{mean}/{name}": known[mean] for mean in _MEANS if mean in known}
-    _write(folder / STATE, tensors, about)
+    _write(folder / STATE, tensors, record)
 
 
-def publish(folder: Path, about: About, model: nn.Module) -> None:
+def publish(folder: Path, record: TrainingRecord, model: nn.Module) -> None:
     """Write what follows from the state: weights, those of the best epoch where it is the last, recipe and metrics.
 
     Raises:
         OutputError: one cannot be written.
     """
-    _write(folder / WEIGHTS, model.state_dict(), about)
-    if best_epoch(about) == about.epochs_done:
-        _write(folder / BEST, model.state_dict(), about)
-    write_atomically(folder / RECIPE, recipe_to_toml(about.recipe).encode())
-    write_atomically(folder / METRICS, metrics_csv(about.rows).encode())
+    _write(folder / WEIGHTS, model.state_dict(), record)
+    if best_epoch(record) == record.epochs_done:
+        _write(folder / BEST, model.state_dict(), record)
+    write_atomically(folder / RECIPE, recipe_to_toml(record.recipe).encode())
+    write_atomically(folder / METRICS, metrics_csv(record.rows).encode())
 
 
 def restore(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
@@ -224,13 +226,13 @@ def restore(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer) ->
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
-def best_epoch(about: About) -> int | None:
-    """Return the epoch, from 1, that was best on the held-out images; None where there were none."""
-    name, higher = (
-        ("recall_mean_error_rad", False) if isinstance(about.recipe, HypothesisRecipe) else ("f_measure", True)
-    )
-    values = [(row[name] if higher else -row[name], epoch) for epoch, row in enumerate(about.rows, 1) if name in row]
-    return max(values)[1] if values else None
+def best_epoch(record: TrainingRecord) -> int | None:
+    """Return the epoch, from 1, that was best on the validation images; None where there were none."""
+    track = "hypotheses" if isinstance(record.recipe, HypothesisRecipe) else "classifier"
+    best_by = metric_of(track, _BEST_BY[track])
+    sign = 1.0 if best_by.better == HIGHER else -1.0
+    known = [(sign * row[best_by.name], epoch) for epoch, row in enumerate(record.rows, 1) if best_by.name in row]
+    return max(known)[1] if known else None
 
 
 def metrics_csv(rows: tuple[Row, ...]) -> str:
@@ -250,25 +252,25 @@ def _laid_out_like(parameter: torch.Tensor, tensor: torch.Tensor) -> torch.Tenso
     return torch.empty_like(parameter, requires_grad=False).copy_(tensor)
 
 
-def _write(path: Path, tensors: Mapping[str, torch.Tensor], about: About) -> None:
+def _write(path: Path, tensors: Mapping[str, torch.Tensor], record: TrainingRecord) -> None:
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    write_atomically(path, safetensors.torch.save(plain, _metadata(about)))
+    write_atomically(path, safetensors.torch.save(plain, _metadata(record)))
 
 
-def _metadata(about: About) -> dict[str, str]:
-    rest = {field.name: getattr(about, field.name) for field in fields(about) if field.name != "recipe"}
+def _metadata(record: TrainingRecord) -> dict[str, str]:
+    rest = {field.name: getattr(record, field.name) for field in fields(record) if field.name != "recipe"}
     return {
         "format": _FORMAT,
         "format_version": str(_FORMAT_VERSION),
-        "recipe": recipe_to_toml(about.recipe),
-        "about": json.dumps(rest),
+        "recipe": recipe_to_toml(record.recipe),
+        "record": json.dumps(rest),
     }
 
 
-def _about(metadata: Mapping[str, str], source: str) -> About:
-    known: dict[str, Any] = json.loads(metadata["about"])
+def _record(metadata: Mapping[str, str], source: str) -> TrainingRecord:
+    known: dict[str, Any] = json.loads(metadata["record"])
     width, height = (int(side) for side in known["image_size"])
-    return About(
+    return TrainingRecord(
         name=str(known["name"]),
         recipe=recipe_from_toml(metadata["recipe"], source),
         object=str(known["object"]),

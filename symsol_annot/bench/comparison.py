@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from symsol_annot.bench.averages import difference
-from symsol_annot.bench.report import STRATA, TABLE, aligned, short
+from symsol_annot.bench.metric_table import METRICS, Place, metrics_shown
+from symsol_annot.bench.report import STRATA, aligned, short
 from symsol_annot.bench.scores_file import per_image_table, read_scores, strata_of
 from symsol_annot.errors import ScoresError
 
@@ -27,7 +28,7 @@ def compare(paths: Sequence[Path]) -> str:
         entries = [document["objects"][name] for document in documents]
         for entry, path in zip(entries, paths, strict=True):
             _refuse_other_images(name, entries[0], paths[0], entry, path)
-        for track in TABLE:
+        for track in METRICS:
             sides = [(d["method"], entry) for d, entry in zip(documents, entries, strict=True) if track in entry]
             if len(sides) > 1:
                 tables.append(_compare_track(name, track, sides))
@@ -50,12 +51,14 @@ def _refuse_other_images(name: str, a: dict[str, Any], a_path: Path, b: dict[str
 
 def _compare_track(name: str, track: str, sides: list[tuple[str, dict[str, Any]]]) -> str:
     tables = [per_image_table(entry, track) for _, entry in sides]
-    metrics = [metric for metric, _, _ in TABLE[track] if all(metric in table.values for table in tables)]
+    metrics = [
+        metric for metric in metrics_shown(track, Place.TABLES) if all(metric.name in table.values for table in tables)
+    ]
     if not metrics:
         raise ScoresError(f"{name}, {track}: the files have no metric in common")
     strata = strata_of(sides[0][1])
-    differences = [difference(tables[0].select(metrics), other.select(metrics), strata) for other in tables[1:]]
-    titles = {metric: title for metric, title, _ in TABLE[track]}
+    names = [metric.name for metric in metrics]
+    differences = [difference(tables[0].select(names), other.select(names), strata) for other in tables[1:]]
     first = f"{sides[0][0]}: {sides[0][1][track]['name']}"
     lines = [f"{name}, {track}; differences from {first}, with the 95% interval of the paired bootstrap"]
     labels = [f"{method}: {entry[track]['name']}" for method, entry in sides]
@@ -68,11 +71,11 @@ def _compare_track(name: str, track: str, sides: list[tuple[str, dict[str, Any]]
             ]
         ]
         for metric in metrics:
-            cells = [_value(sides[0][1][track][stratum][metric])]
+            cells = [_value(sides[0][1][track][stratum][metric.name])]
             for (_, entry), made in zip(sides[1:], differences, strict=True):
-                figure = made[stratum][metric]
-                cells += [_value(entry[track][stratum][metric]), _difference(figure.value, figure.low, figure.high)]
-            rows.append([titles[metric], *cells])
+                figure, value = made[stratum][metric.name], entry[track][stratum][metric.name]
+                cells += [_value(value), _difference(figure.value, figure.low, figure.high)]
+            rows.append([metric.label, *cells])
         lines += ["", *aligned(rows)]
     for method, entry in sides:
         lines += [f"WARNING, {method}: {warning}" for warning in entry[track]["warnings"]]

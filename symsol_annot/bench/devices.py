@@ -1,7 +1,6 @@
 """What a network runs on: which device, in which precision, and how many images at once its memory holds."""
 
 import contextlib
-import os
 import platform
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ from torch import nn
 
 from symsol_annot.errors import SettingsError
 
+T = TypeVar("T")
 Model = TypeVar("Model", bound=nn.Module)
 
 _MEMINFO, _CPUINFO = Path("/proc/meminfo"), Path("/proc/cpuinfo")
@@ -79,22 +79,19 @@ def free_bytes(device: torch.device) -> int:
     return 0
 
 
-def largest_that_fits(attempt: Callable[[int], object], batch: int) -> int | None:
-    """Return the largest of batch / 2, batch / 4, .. that an attempt has memory for; None where not even 1 fits."""
-    while batch > 1:
-        batch //= 2
+def largest_that_fits(attempt: Callable[[int], T], batch_size: int) -> tuple[int, T] | None:
+    """Return the largest of batch_size, batch_size / 2, .. that an attempt has memory for, and what the attempt gave.
+
+    None where not even 1 fits.
+    """
+    while batch_size > 0:
         try:
-            attempt(batch)
+            return batch_size, attempt(batch_size)
         except torch.cuda.OutOfMemoryError:
-            torch.cuda.empty_cache()
-            continue
-        return batch
+            pass  # what the attempt held is let go only outside of this block
+        torch.cuda.empty_cache()
+        batch_size //= 2
     return None
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _free_in_cgroup() -> int:

@@ -30,11 +30,27 @@ STANDARD_THRESHOLD = 0.8  # of a probability, T of eq. 7.4
 ROTATION_TOLERANCE = {"<f4": 1e-5, "<f8": 1e-6}  # of R^T R = I and of det R = 1
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}  # by HDF5's numbers: those that every build has
 MAX_CHUNK_BYTES = 2**28
+_SHOWN_CHARACTERS = 100  # of a stranger's value in a message
 
 
 def track_of(dataset: str) -> str:
     """Return the track that a data set belongs to, or "the file"."""
     return next((track for track, names in TRACKS.items() if dataset in names), "the file")
+
+
+def version_fault(found: Any, expected: int) -> str:
+    """Say why a file of a format version is not read; "" where it is.
+
+    Args:
+        found: what the file has in place of a version.
+        expected: the version that is read.
+    """
+    shown = f"{found!r:.{_SHOWN_CHARACTERS}}"
+    if type(found) is not int or found < expected:
+        return f"this version reads format_version {expected}, found {shown}"
+    if found > expected:
+        return f"is of format version {shown}, newer than {expected}, which this symsol-annot reads: update it"
+    return ""
 
 
 def is_level(level: Any) -> bool:

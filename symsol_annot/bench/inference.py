@@ -11,6 +11,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from symsol_annot.bench.checkpoints import Checkpoint
+from symsol_annot.bench.devices import largest_that_fits
 from symsol_annot.bench.learners import all_hypotheses, embedded, probabilities
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
 from symsol_annot.bench.submission import write_classifier, write_hypotheses
@@ -20,7 +21,7 @@ from symsol_annot.errors import ModelError
 from symsol_annot.grid import STANDARD_LEVEL, grid_size
 from symsol_annot.so3 import Rotations
 
-BATCH = 64  # images at once
+_BATCH_SIZE = 64
 _BLOCK = 512  # images decoded at once
 
 
@@ -32,7 +33,6 @@ def predict(
     *,
     method: str | None = None,
     level: int = STANDARD_LEVEL,
-    progress: bool = True,
 ) -> str:
     """Write a model's predictions about a split; a classifier's may be stopped and gone on with.
 
@@ -43,7 +43,6 @@ def predict(
         device: what the model runs on.
         method: what the file says it is by; the recipe's name by default.
         level: of the grid a classifier is asked on; only the standard one ranks.
-        progress: show a bar where standard error is a terminal.
 
     Returns:
         The track: "hypotheses" or "classifier".
@@ -55,22 +54,22 @@ def predict(
         OutputError: it cannot be written.
     """
     checkpoint.refuse_other_images(dataset)
-    by, model = method or checkpoint.about.name, checkpoint.model.to(device)
+    by, model = method or checkpoint.record.name, checkpoint.model.to(device)
     if isinstance(model, HypothesisNetwork):
-        hypotheses = _all_hypotheses(model, dataset, progress=progress)
+        hypotheses = _all_hypotheses(model, dataset)
         write_hypotheses(path, dataset, hypotheses, method=by)
         return "hypotheses"
     classify = _asked_about(model, dataset, device)
-    write_classifier(path, dataset, classify, method=by, level=level, batch_size=grid_size(level), progress=progress)
+    write_classifier(path, dataset, classify, method=by, level=level, batch_size=grid_size(level))
     return "classifier"
 
 
-def _all_hypotheses(model: HypothesisNetwork, dataset: Dataset, *, progress: bool) -> npt.NDArray[np.float32]:
+def _all_hypotheses(model: HypothesisNetwork, dataset: Dataset) -> npt.NDArray[np.float32]:
     parts = []
-    with tqdm(total=len(dataset), unit="image", disable=None if progress else True) as bar:
+    with tqdm(total=len(dataset), unit="image", disable=None) as bar:
         for start in range(0, len(dataset), _BLOCK):
             images = decoded(dataset[start : start + _BLOCK]).images
-            parts.append(_in_memory_that_is_there(partial(all_hypotheses, model, images)))
+            parts.append(_as_memory_allows(partial(all_hypotheses, model, images)))
             bar.update(len(images))
     return np.concatenate(parts)
 
@@ -92,18 +91,11 @@ def _asked_about(
     return classify
 
 
-def _in_memory_that_is_there(
-    run: Callable[[int], npt.NDArray[np.float32]], batch: int = BATCH
-) -> npt.NDArray[np.float32]:
-    """Run with the largest of batch, batch / 2, .. that memory holds; answers do not depend on it."""
-    while True:
-        try:
-            return run(batch)
-        except torch.cuda.OutOfMemoryError:
-            if batch == 1:
-                raise ModelError(
-                    "the GPU's memory does not hold the network and a single image; end what else uses it, or take "
-                    "--device cpu"
-                ) from None
-        torch.cuda.empty_cache()
-        batch //= 2
+def _as_memory_allows(run: Callable[[int], npt.NDArray[np.float32]]) -> npt.NDArray[np.float32]:
+    """Run with the largest batch that memory holds; answers do not depend on it."""
+    fitting = largest_that_fits(run, _BATCH_SIZE)
+    if fitting is None:
+        raise ModelError(
+            "the GPU's memory does not hold the network and a single image; end what else uses it, or take --device cpu"
+        )
+    return fitting[1]

@@ -5,29 +5,42 @@
     SET/NAME.toml           a result: who, how, on what
     SET/NAME.json           its scores, as `score --json` wrote them
 
-A result is held against its set, and its figures against those of its images.
+A result is held against its set, and its figures against those of its images. Strangers send these files in: names,
+numbers and shapes are checked here, words are escaped by who shows them.
 """
 
 import datetime as dt
+import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
+from symsol_annot.bench.metric_table import METRICS, Place, metrics_shown
 from symsol_annot.bench.recipe import builtin_recipes
-from symsol_annot.bench.report import TABLE
 from symsol_annot.bench.scores_file import figures_that_differ, read_scores
+from symsol_annot.bench.structure import shown
 from symsol_annot.bench.tables import from_table
 from symsol_annot.errors import ScoresError, bulleted, count_of
 
-T = TypeVar("T")
+
+class _Checked(Protocol):
+    """What a file says, as far as types go."""
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+
+
+T = TypeVar("T", bound=_Checked)
 
 THESIS, SET = "thesis.toml", "set.toml"
 _SHOWN = 5  # differences of one object
 _SHA256 = re.compile(r"[0-9a-f]{64}")
+_NAME = re.compile(r"[A-Za-z0-9._-]+")  # as it stands in links and headings
+_NAME_RULE = "a name has letters, digits, '.', '_' and '-' alone"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +63,13 @@ class ImageSet:
     fingerprints: Mapping[str, str]
     notes: str = ""
 
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        if self.images < 1:
+            yield f"images: expected 1 or more, found {self.images}"
+        yield from (f"split: {fault}" for fault in _faults_of_names([self.split]))
+        yield from (f"fingerprints: {fault}" for fault in _faults_of_names(self.fingerprints))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
@@ -66,6 +86,14 @@ class Training:
     minutes: float
     processor_minutes: float | None = None
     first_stage: str = ""
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        if self.seed < 0:
+            yield f"seed: expected 0 or more, found {self.seed}"
+        for name, minutes in (("minutes", self.minutes), ("processor_minutes", self.processor_minutes)):
+            if minutes is not None and not 0 <= minutes < math.inf:
+                yield f"{name}: expected a finite number, 0 or more, found {minutes}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +121,18 @@ class Run:
     code: str = ""
     notes: str = ""
     objects: Mapping[str, Training]
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        for name in ("title", "by", "hardware"):
+            if not getattr(self, name).strip():
+                yield f"{name}: is empty"
+        if not self.commands and not self.code:
+            yield "commands, code: one of them has to say how the predictions were made"
+        if self.recipe and self.recipe not in builtin_recipes():
+            yield f"recipe: there is no {self.recipe!r} built in; leave it out"
+        for name, training in self.objects.items():
+            yield from (f"objects.{name}.{fault}" for fault in training.faults())
 
 
 @dataclass(frozen=True)
@@ -125,13 +165,26 @@ class ThesisTable:
     objects: tuple[str, ...]
     rows: Mapping[str, tuple[float, ...]]
 
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        metrics = {track: [metric.name for metric in metrics_shown(track, Place.LEADERBOARD)] for track in METRICS}
+        if self.track not in metrics:
+            yield f"track: expected one of {', '.join(metrics)}, found {self.track!r}"
+        elif self.metric not in metrics[self.track]:
+            yield f"metric: expected one of {', '.join(metrics[self.track])}, found {self.metric!r}"
+        for recipe, values in self.rows.items():
+            if recipe not in builtin_recipes():
+                yield f"rows: there is no recipe {recipe!r} built in"
+            if len(values) != len(self.objects):
+                yield f"rows.{recipe}: expected a number an object, {len(self.objects)}, found {len(values)}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Thesis:
     """The thesis's own numbers.
 
     Attributes:
-        notes: on what they are.
+        notes: on what they are, in Markdown.
         tables: by number and what they show.
         small: recipe to the one of the small tier that stands for it.
     """
@@ -139,6 +192,14 @@ class Thesis:
     notes: str
     tables: Mapping[str, ThesisTable]
     small: Mapping[str, str]
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        for recipe, name in self.small.items():
+            if name not in builtin_recipes():
+                yield f"small.{recipe}: there is no recipe {name!r} built in"
+        for title, table in self.tables.items():
+            yield from (f"tables.{title}.{fault}" for fault in table.faults())
 
 
 @dataclass(frozen=True)
@@ -168,6 +229,7 @@ def read_leaderboard(folder: Path) -> Leaderboard:
     sets: dict[str, ImageSet] = {}
     results: dict[str, tuple[Result, ...]] = {}
     for place in sorted(path for path in folder.iterdir() if path.is_dir()):
+        faults += [f"{folder}: {fault}" for fault in _faults_of_names([place.name])]
         image_set, found = _read(place / SET, ImageSet, "an image set")
         faults += found
         if image_set is not None:
@@ -176,24 +238,32 @@ def read_leaderboard(folder: Path) -> Leaderboard:
             faults += found
     faults += _doubled(results)
     if faults or thesis is None:
-        count = count_of(faults)
-        raise ScoresError(f"{folder}: the leaderboard has {count}:\n" + bulleted(faults))
+        raise ScoresError(f"{folder}: the leaderboard has {count_of(faults)}:\n" + bulleted(faults))
     return Leaderboard(sets, results, thesis)
+
+
+def _faults_of_names(names: Iterable[str]) -> Iterator[str]:
+    """Say which names cannot stand on a page as they are."""
+    yield from (f"{shown(name)}: {_NAME_RULE}" for name in names if not _NAME.fullmatch(name))
 
 
 def _read(path: Path, kind: type[T], what: str) -> tuple[T | None, list[str]]:
     """Return a TOML file as a dataclass, or None, and its faults with the file's name."""
+    if path.exists() and not path.is_file():
+        return None, [f"{path}: cannot be read: it is no regular file"]
     try:
         made, faults = from_table(kind, tomllib.loads(path.read_text(encoding="utf-8")), what)
-    except (OSError, UnicodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # RecursionError: lists in lists in lists
         return None, [f"{path}: cannot be read: {error}"]
+    if made is not None:
+        faults += made.faults()
     return made, [f"{path}: {fault}" for fault in faults]
 
 
 def _results(place: Path, image_set: ImageSet) -> tuple[tuple[Result, ...], list[str]]:
     """Return the results on a set, and the faults of their files."""
     names = sorted({path.stem for path in place.iterdir() if path.suffix in {".toml", ".json"} and path.name != SET})
-    results, faults = [], []
+    results, faults = [], [f"{place}: {fault}" for fault in _faults_of_names(names)]
     for name in names:
         run, found = _read(place / f"{name}.toml", Run, "a result")
         try:
@@ -203,7 +273,7 @@ def _results(place: Path, image_set: ImageSet) -> tuple[tuple[Result, ...], list
             scores = {}
         if run is not None and scores:
             found += [f"{place / name}.json: {fault}" for fault in _faults_of_scores(scores, image_set)]
-            found += [f"{place / name}.toml: {fault}" for fault in _faults_of_run(run, scores["objects"])]
+            found += [f"{place / name}.toml: {fault}" for fault in _faults_of_objects(run, scores["objects"])]
             results.append(Result(name, run, scores["objects"]))
         faults += found
     return tuple(results), faults
@@ -218,25 +288,26 @@ def _faults_of_scores(scores: Mapping[str, Any], image_set: ImageSet) -> Iterato
         for what, expected in wanted.items():
             if entry[what] != expected:
                 yield f"objects.{name}.{what}: expected {expected}, found {entry[what]!r}: it is about other images"
-        if not _SHA256.fullmatch(str(_of(entry, "predictions", "sha256"))):
+        if not _sha256_of(entry):
             yield f"objects.{name}.predictions.sha256: is no SHA-256"
-        tracks = [track for track in TABLE if track in entry]
+        tracks = [track for track in METRICS if track in entry]
         if not tracks:
             yield f"objects.{name}: has no track"
         yield from (f"objects.{name}.{track}.warnings: does not rank" for track in tracks if entry[track]["warnings"])
+        yield from (f"objects.{name}.per_image.{metric}: is missing" for metric in _missing(entry, tracks))
         yield from (f"objects.{name}.{difference}" for difference in islice(figures_that_differ(entry), _SHOWN))
 
 
-def _faults_of_run(run: Run, scores: Mapping[str, Any]) -> Iterator[str]:
+def _missing(entry: Mapping[str, Any], tracks: Iterable[str]) -> Iterator[str]:
+    """Yield which metrics of the page an object's scores lack; without them a bad figure could be left out."""
+    for track in tracks:
+        names = [metric.name for metric in metrics_shown(track, Place.LEADERBOARD)]
+        yield from (f"{track}.{name}" for name in names if name not in entry["per_image"][track])
+
+
+def _faults_of_objects(run: Run, scores: Mapping[str, Any]) -> Iterator[str]:
     if set(run.objects) != set(scores):
         yield f"objects: expected those of the scores, {', '.join(scores)}, found {', '.join(run.objects) or 'none'}"
-    for name in ("title", "by", "hardware"):
-        if not getattr(run, name).strip():
-            yield f"{name}: is empty"
-    if not run.commands and not run.code:
-        yield "commands, code: one of them has to say how the predictions were made"
-    if run.recipe and run.recipe not in builtin_recipes():
-        yield f"recipe: there is no {run.recipe!r} built in; leave it out"
 
 
 def _doubled(results: Mapping[str, tuple[Result, ...]]) -> Iterator[str]:
@@ -245,13 +316,15 @@ def _doubled(results: Mapping[str, tuple[Result, ...]]) -> Iterator[str]:
     for folder, of_set in results.items():
         for result in of_set:
             for entry in result.scores.values():
-                sha256, name = str(_of(entry, "predictions", "sha256")), f"{folder}/{result.name}"
+                sha256, name = _sha256_of(entry), f"{folder}/{result.name}"
                 if sha256 in first:
                     yield f"{name}: its predictions {sha256[:12]}.. are those of {first[sha256]}"
-                first.setdefault(sha256, name)
+                if sha256:
+                    first.setdefault(sha256, name)
 
 
-def _of(table: Any, *keys: str) -> Any:
-    for key in keys:
-        table = table.get(key) if isinstance(table, dict) else None
-    return table
+def _sha256_of(entry: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the predictions that an object's scores are of; "" where they do not say it."""
+    predictions = entry.get("predictions")
+    found = predictions.get("sha256") if isinstance(predictions, dict) else None
+    return found if isinstance(found, str) and _SHA256.fullmatch(found) else ""

@@ -5,18 +5,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from symsol_annot.bench.leaderboard import ImageSet, Leaderboard, Result, ThesisTable
-from symsol_annot.bench.report import HIGHER, LOWER, NEITHER, TABLE, cell
+from symsol_annot.bench.metric_table import HIGHER, METRICS, RANKED_BY, Place, metric_of, metrics_shown
+from symsol_annot.bench.report import cell
 
-_ARROWS = {HIGHER: " ↑", LOWER: " ↓", NEITHER: ""}
-_RANKED_BY = {"hypotheses": "f_measure_at_5_deg", "classifier": "f_measure", "density": "log_likelihood"}
-_COLUMNS = {
-    "hypotheses": (
-        *("recall_mean_error_rad", "recall_mean_error_image_mean_rad", "coverage_at_5_deg"),
-        *("precision_mean_error_rad", "accuracy_at_5_deg", "f_measure_at_5_deg"),
-    ),
-    "classifier": ("recall", "precision", "f_measure", "hard_negative_rate", "nothing_predicted_rate"),
-    "density": ("log_likelihood", "log_likelihood_ceiling", "spread_rad"),
-}
 _ESCAPED = str.maketrans({character: f"\\{character}" for character in "\\`*_{}[]<>|#"})
 
 _HEAD = """\
@@ -24,9 +15,9 @@ _HEAD = """\
 
 <!-- Built from {folder} by `symsol-annot leaderboard`: change those files, not this one. -->
 
-All figures come from files that `symsol-annot score` wrote, which the rows link to; none is typed by hand. Brackets
-hold 95% intervals over images. What the figures mean: [metrics.md](metrics.md). Two rows in detail:
-`symsol-annot compare`.
+Scores come from files that `symsol-annot score` wrote, which the rows link to; the thesis's tables, and what is said
+of a result and its training, are as somebody wrote them down. Brackets hold 95% intervals over images. What the figures
+mean: [metrics.md](metrics.md). Two rows in detail: `symsol-annot compare`.
 """
 _TAIL = """\
 ## Send in a result
@@ -39,8 +30,8 @@ _TAIL = """\
    checks all files and builds this page. Open a pull request with the three files. Keep the predictions: their SHA-256
    is in the scores.
 
-Refused are scores that do not rank (`score` warns why), that are about other images, or whose figures do not follow
-from those of their images; and the same predictions twice.
+Refused are scores that do not rank (`score` warns why), that are about other images, that lack a figure of the tables,
+or whose figures do not follow from those of their images; and the same predictions twice.
 """
 
 
@@ -64,31 +55,29 @@ def to_markdown(board: Leaderboard, folder: str, link: str, page: str) -> str:
 def _of_set(image_set: ImageSet, results: Sequence[Result], link: str) -> Iterator[str]:
     """Yield a set's section: what it is, and a table for each object and track, the best first."""
     yield f"## {_text(image_set.title)}"
-    yield f"{image_set.images:,} images an object, of the {image_set.split} split. {image_set.notes}".strip()
+    yield f"{image_set.images:,} images an object, of the {image_set.split} split. {_text(image_set.notes)}".strip()
     yield _commands(image_set.commands)
     if not results:
         yield "No results yet."
     for name in image_set.fingerprints:
-        for track, metrics in _COLUMNS.items():
+        for track in METRICS:
             rows = [result for result in results if track in result.scores.get(name, {})]
             if rows:
                 yield f"### {name}, {track}"
-                yield _table(_ranked_rows(rows, name, track, metrics, link))
+                yield _table(_ranked_rows(rows, name, track, link))
 
 
-def _ranked_rows(
-    results: Sequence[Result], name: str, track: str, metrics: Sequence[str], link: str
-) -> Iterator[Sequence[str]]:
-    titles = {metric: title.strip() + _ARROWS[better] for metric, title, better in TABLE[track]}
-    yield ["", "by", *(titles[metric] for metric in metrics), "scores"]
+def _ranked_rows(results: Sequence[Result], name: str, track: str, link: str) -> Iterator[Sequence[str]]:
+    columns, by = metrics_shown(track, Place.LEADERBOARD), metric_of(track, RANKED_BY[track])
+    yield ["", "by", *(metric.title + metric.arrow for metric in columns), "scores"]
 
     def rank(result: Result) -> float:
-        value = result.scores[name][track]["all"][_RANKED_BY[track]]["value"]
-        return -math.inf if value is None else value
+        value = result.scores[name][track]["all"][by.name]["value"]
+        return math.inf if value is None else -value if by.better == HIGHER else value
 
-    for result in sorted(results, key=rank, reverse=True):
+    for result in sorted(results, key=rank):
         figures = result.scores[name][track]["all"]
-        cells = [cell(figures[metric]) for metric in metrics]
+        cells = [cell(figures[metric.name]) for metric in columns]
         yield [_text(result.run.title), _text(result.run.by), *cells, f"[{result.name}]({link}/{result.name}.json)"]
 
 
@@ -96,24 +85,20 @@ def _beside_the_thesis(board: Leaderboard) -> Iterator[str]:
     """Yield the thesis's tables, with what was measured here below the row it stands for."""
     yield "## Beside the thesis"
     yield board.thesis.notes.strip()
-    by_recipe = [
-        (name, {result.run.recipe: result for result in results if result.run.recipe})
-        for name, results in board.results.items()
-    ]
     for title, table in board.thesis.tables.items():
-        runs = {
-            recipe: [
-                (folder, results[name])
-                for folder, results in by_recipe
-                for name in (recipe, board.thesis.small.get(recipe, ""))
-                if name in results
-            ]
-            for recipe in table.rows
-        }
+        runs = {recipe: _standing_for(recipe, board) for recipe in table.rows}
         yield f"### {_text(title)}"
         yield _table(_thesis_rows(table, runs))
         absent = [f"`{recipe}`" for recipe, found in runs.items() if not found]
         yield f"Not run here: {', '.join(absent) or 'none'}."
+
+
+def _standing_for(recipe: str, board: Leaderboard) -> list[tuple[str, Result]]:
+    """Return the results by a recipe, or by the one of the small tier that stands for it, with their sets' folders."""
+    names = {recipe, board.thesis.small.get(recipe, recipe)}
+    return [
+        (folder, result) for folder, of_set in board.results.items() for result in of_set if result.run.recipe in names
+    ]
 
 
 def _thesis_rows(table: ThesisTable, runs: Mapping[str, Sequence[tuple[str, Result]]]) -> Iterator[Sequence[str]]:
@@ -121,12 +106,13 @@ def _thesis_rows(table: ThesisTable, runs: Mapping[str, Sequence[tuple[str, Resu
     for recipe, values in table.rows.items():
         yield [f"`{recipe}`", "thesis", *("" if math.isnan(value) else f"{value:.3f}" for value in values)]
         for folder, result in runs[recipe]:
-            yield [f"`{result.run.recipe}`", f"here, {folder}", *(_measured(result, o, table) for o in table.objects)]
+            here = f"here, {folder}/{result.name}"
+            yield [f"`{result.run.recipe}`", here, *(_measured(result, o, table) for o in table.objects)]
 
 
 def _measured(result: Result, name: str, table: ThesisTable) -> str:
-    figures = result.scores.get(name, {}).get(table.track, {}).get("all", {})
-    value = figures.get(table.metric, {}).get("value")
+    scores = result.scores.get(name, {}).get(table.track)
+    value = None if scores is None else scores["all"][table.metric]["value"]
     return "" if value is None else f"**{value:.3f}**"
 
 
@@ -168,4 +154,5 @@ def _commands(commands: Sequence[str]) -> str:
 
 def _text(words: Any) -> str:
     """Return a stranger's words on one line, so that they are text and nothing else in Markdown."""
-    return " ".join(str(words).split()).translate(_ESCAPED)
+    line = " ".join(str(words).split())
+    return "".join(character for character in line if character.isprintable()).translate(_ESCAPED)

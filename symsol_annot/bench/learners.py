@@ -1,4 +1,4 @@
-"""A model as it is trained: its loss on a batch, and its figures on held-out images."""
+"""A model as it is trained: its loss on a batch, and its figures on validation images."""
 
 from typing import Protocol
 
@@ -22,7 +22,7 @@ from symsol_annot.bench.losses import (
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
 from symsol_annot.bench.negatives import hard_negatives, random_rotations
 from symsol_annot.bench.recipe import ClassifierRecipe, HypothesisRecipe, Recipe
-from symsol_annot.bench.schedules import Moment
+from symsol_annot.bench.schedules import ScheduledValues
 from symsol_annot.bench.training_data import Batch
 from symsol_annot.dataset import Labels
 from symsol_annot.grid import STANDARD_LEVEL, equivolumetric_grid
@@ -43,11 +43,11 @@ class Learner(Protocol):
     def model(self) -> HypothesisNetwork | RotationClassifier:
         """What is trained."""
 
-    def losses(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:
+    def losses(self, batch: Batch, scheduled: ScheduledValues, rng: torch.Generator) -> Tensor:
         """Return the losses (B,) of a batch's images."""
 
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
-        """Return figures of held-out images (N, H, W, 3), on any device; the model is left in eval mode."""
+        """Return figures of validation images (N, H, W, 3), on any device; the model is left in eval mode."""
 
 
 class HypothesisLearner:
@@ -56,26 +56,26 @@ class HypothesisLearner:
     def __init__(self, recipe: HypothesisRecipe, model: HypothesisNetwork) -> None:
         self.recipe, self.model = recipe, model
 
-    def losses(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:  # noqa: ARG002
+    def losses(self, batch: Batch, scheduled: ScheduledValues, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the meta losses (B,)."""
         with backbone_precision(batch.images.device):
             embeddings = self.model.first_stage(batch.images)
         hypotheses = self.model.from_embeddings(embeddings.float())  # in 32 bits: 0.1 degrees of 16 would show
-        embedded = self._embedded_losses(hypotheses, batch.R_gt[:, None], moment)
+        embedded = self._embedded_losses(hypotheses, batch.R_gt[:, None], scheduled)
         match self.recipe.meta_loss:
             case "wta":
                 return winner_takes_all(embedded)
             case "rwta":
                 return relaxed_winner_takes_all(embedded, self.recipe.epsilon)
             case "ewta":
-                return evolving_winner_takes_all(embedded, moment.winners)
+                return evolving_winner_takes_all(embedded, scheduled.winners)
 
-    def _embedded_losses(self, R_p: Tensor, R_gt: Tensor, moment: Moment) -> Tensor:
+    def _embedded_losses(self, R_p: Tensor, R_gt: Tensor, scheduled: ScheduledValues) -> Tensor:
         match self.recipe.embedded_loss:
             case "cyclic-cosine":
                 return cyclic_cosine_loss(R_p, R_gt)
             case "von-mises":
-                return von_mises_loss(R_p, R_gt, moment.concentration)
+                return von_mises_loss(R_p, R_gt, scheduled.concentration)
             case "geodesic":
                 return geodesic_loss(R_p, R_gt)
 
@@ -102,7 +102,7 @@ class ClassifierLearner:
     def __init__(self, recipe: ClassifierRecipe, model: RotationClassifier, symmetry_group: Tensor) -> None:
         self.recipe, self.model, self._symmetry_group = recipe, model, symmetry_group
 
-    def losses(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:  # noqa: ARG002
+    def losses(self, batch: Batch, scheduled: ScheduledValues, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the losses (B,) of eq. 6.15, K new rotations an image."""
         with backbone_precision(batch.images.device):
             embeddings = self.model.first_stage(batch.images)
@@ -163,19 +163,19 @@ def learner_of(recipe: Recipe, model: HypothesisNetwork | RotationClassifier, sy
 
 
 @torch.no_grad()
-def all_hypotheses(model: HypothesisNetwork, images: Tensor, batch: int) -> npt.NDArray[np.float32]:
+def all_hypotheses(model: HypothesisNetwork, images: Tensor, batch_size: int) -> npt.NDArray[np.float32]:
     """Return the hypotheses (N, M, 3, 3) of images (N, H, W, 3) on any device, in float32."""
     model.eval()
     device = model.output.weight.device
-    return torch.cat([model(part.to(device)).cpu() for part in torch.split(images, batch)]).numpy()
+    return torch.cat([model(part.to(device)).cpu() for part in torch.split(images, batch_size)]).numpy()
 
 
 @torch.no_grad()
-def embedded(model: HypothesisNetwork | RotationClassifier, images: Tensor, batch: int) -> Tensor:
+def embedded(model: HypothesisNetwork | RotationClassifier, images: Tensor, batch_size: int) -> Tensor:
     """Return the embeddings (N, E) of images (N, H, W, 3) on any device, on the model's."""
     model.eval()
     device = model.first_stage.channel_mean.device
-    return torch.cat([model.first_stage(part.to(device)) for part in torch.split(images, batch)])
+    return torch.cat([model.first_stage(part.to(device)) for part in torch.split(images, batch_size)])
 
 
 @torch.no_grad()

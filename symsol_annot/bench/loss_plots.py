@@ -68,7 +68,7 @@ def plot_curves(path: Path) -> None:
 
     Raises:
         OutputError: the file cannot be written.
-        SymsolError: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     figure, cells = _grid(len(CURVES), max(len(row) for row in CURVES), _CURVES_INCHES)
     angles_rad = np.linspace(0.0, 2.0 * np.pi, 721)
@@ -94,7 +94,7 @@ def plot_toys(path: Path) -> None:
 
     Raises:
         OutputError: the file cannot be written.
-        SymsolError: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     figure, cells = _grid(len(TOYS), 1 + max(len(toy.stages) for toy in TOYS), _TOY_INCHES)
     for row, toy in enumerate(TOYS):

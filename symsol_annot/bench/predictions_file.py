@@ -29,7 +29,7 @@ from symsol_annot.bench.structure import shown
 from symsol_annot.bench.truth import truth_of
 from symsol_annot.dataset import Dataset
 from symsol_annot.errors import PredictionsError, SettingsError
-from symsol_annot.files import make_folder, output_errors, write_atomically
+from symsol_annot.files import make_folder, output_errors, replaced, write_atomically
 
 Array = npt.NDArray[Any]
 Rows = dict[str, Array]  # what there is of one image, by data set
@@ -107,21 +107,19 @@ class PredictionsFile:
         if self._has_asked:
             self._refuse_another()  # it may have been put there since
         make_folder(self._path.parent)
-        partial = self._path.with_name(f".{self._path.name}.partial")
-        try:
-            with output_errors(self._path), HDF5Output(partial) as output:
+        with replaced(self._path) as partial:
+            with HDF5Output(partial) as output:
                 self._fill(output, columns)
-            with SandboxedFile(partial) as written:
-                Predictions(written, self._truth).check()
-            with output_errors(self._path):
-                partial.replace(self._path)
-        except PredictionsError as error:
-            raise PredictionsError(str(self._path), error.faults) from None
-        finally:
-            with contextlib.suppress(OSError):
-                partial.unlink()
+            self._check(partial)
         if self._has_asked:
             self._forget_answers()
+
+    def _check(self, written: Path) -> None:
+        try:
+            with SandboxedFile(written) as file:
+                Predictions(file, self._truth).check()
+        except PredictionsError as error:
+            raise PredictionsError(str(self._path), error.faults) from None
 
     def _forget_answers(self) -> None:
         shutil.rmtree(self._folder, ignore_errors=True)
@@ -195,10 +193,8 @@ class Parts:
         """Keep what was answered about image i."""
         buffer = io.BytesIO()
         np.savez(buffer, **rows)
-        partial = self._path(i).with_suffix(".partial")
-        with output_errors(self._path(i)):
+        with replaced(self._path(i)) as partial:  # may be lost with the power: it can be asked for again
             partial.write_bytes(buffer.getvalue())
-            partial.replace(self._path(i))
 
     def column(self, name: str) -> list[Array]:
         """Return what all images have under a name."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from symsol_annot.bench.checkpoints import WEIGHTS, About, read_about
+from symsol_annot.bench.checkpoints import WEIGHTS, TrainingRecord, read_record
 from symsol_annot.bench.recipe import HypothesisRecipe
 from symsol_annot.errors import WeightsError
 
@@ -14,21 +14,21 @@ _ERRORS = {
 _DIGITS = 3  # to which the thesis tells errors, so that there are ties
 
 
-def trained_networks(folder: Path, like: About) -> list[Path]:
+def trained_networks(folder: Path, like: TrainingRecord) -> list[Path]:
     """Return the weights of the finished hypothesis networks in folders of a folder, trained on the same images."""
     found = []
     for path in sorted(folder.glob(f"*/{WEIGHTS}")):
         try:
-            about = read_about(path)
+            record = read_record(path)
         except WeightsError:  # somebody else's
             continue
-        is_alike = (about.train_fingerprint, about.image_size) == (like.train_fingerprint, like.image_size)
-        if is_alike and about.is_finished and isinstance(about.recipe, HypothesisRecipe):
+        is_alike = (record.train_fingerprint, record.image_size) == (like.train_fingerprint, like.image_size)
+        if is_alike and record.is_finished and isinstance(record.recipe, HypothesisRecipe):
             found.append(path)
     return found
 
 
-def best_network(paths: Sequence[Path], like: About, by: str) -> Path:
+def best_network(paths: Sequence[Path], like: TrainingRecord, by: str) -> Path:
     """Return the weights with the lowest error after the last epoch; on a tie that with the lower other error.
 
     Args:
@@ -47,22 +47,22 @@ def best_network(paths: Sequence[Path], like: About, by: str) -> Path:
     files = [path / WEIGHTS if path.is_dir() else path for path in paths]
     errors = {}
     for file in files:
-        about = read_about(file)
-        _refuse_other(file, about, like)
-        last = about.rows[-1] if about.rows else {}
+        record = read_record(file)
+        _refuse_other(file, record, like)
+        last = record.rows[-1] if record.rows else {}
         missing = [name for name in _ERRORS[by] if name not in last]
         if missing and len(files) > 1:
             raise WeightsError(
-                f"{file}: was trained without held-out images, so that it has no {missing[0]} to choose by; "
+                f"{file}: was trained without validation images, so that it has no {missing[0]} to choose by; "
                 "name the one network to begin with by --pretrained"
             )
         errors[file] = tuple(round(last.get(name, 0.0), _DIGITS) for name in _ERRORS[by])
     return min(errors, key=lambda file: errors[file])
 
 
-def _refuse_other(file: Path, about: About, like: About) -> None:
-    if not isinstance(about.recipe, HypothesisRecipe):
-        raise WeightsError(f"{file}: is the classifier of recipe {about.name}; expected a hypothesis network")
+def _refuse_other(file: Path, record: TrainingRecord, like: TrainingRecord) -> None:
+    if not isinstance(record.recipe, HypothesisRecipe):
+        raise WeightsError(f"{file}: is the classifier of recipe {record.name}; expected a hypothesis network")
     for name in ("object", "image_size"):
-        if getattr(about, name) != getattr(like, name):
-            raise WeightsError(f"{file}: was trained on {getattr(about, name)}, the set has {getattr(like, name)}")
+        if getattr(record, name) != getattr(like, name):
+            raise WeightsError(f"{file}: was trained on {getattr(record, name)}, the set has {getattr(like, name)}")

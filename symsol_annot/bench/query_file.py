@@ -1,6 +1,5 @@
 """The query file: what `queries.py` and `grid.py` compute, for those who write predictions in another language."""
 
-import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from symsol_annot.bench.hdf5_output import HDF5Output
 from symsol_annot.bench.queries import Queries, group_sha256
 from symsol_annot.dataset import Dataset
 from symsol_annot.errors import SettingsError
-from symsol_annot.files import output_errors
+from symsol_annot.files import replaced
 from symsol_annot.grid import STANDARD_LEVEL, equivolumetric_grid, grid_sha256
 
 QUERIES_FORMAT = "symsol-annot queries"
@@ -37,34 +36,25 @@ def write_queries(
         raise SettingsError(f"predictions are on grids of levels 0 to {MAX_GRID_LEVEL}, not {level!r}")
     labels = dataset.labels()
     queries = Queries(dataset.fingerprint, labels.symmetry_group)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        with output_errors(path), HDF5Output(partial) as output:
-            output.file.attrs.update(
-                {
-                    "format": QUERIES_FORMAT,
-                    "format_version": QUERIES_FORMAT_VERSION,
-                    "object": dataset.object,
-                    "split": dataset.split,
-                    "fingerprint": dataset.fingerprint,
-                    "group_sha256": group_sha256(labels.symmetry_group),
-                    "grid_level": level,
-                    "grid_sha256": grid_sha256(level),
-                }
-            )
-            stored = {"dtype": "f4", "compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
-            shape = (len(labels), len(queries), 3, 3)
-            rows = output.file.create_dataset(
-                "query_rotation", shape, chunks=(1, *shape[1:]), track_times=False, **stored
-            )
-            for i, R_gt in enumerate(labels.rotation):
-                rows[i] = queries.rotations(i, R_gt)
-                output.raise_failure()
-                on_image()
-            grid = equivolumetric_grid(level).astype(np.float32)
-            output.file.create_dataset("grid_rotation", data=grid, chunks=True, track_times=False, **stored)
-        with output_errors(path):
-            partial.replace(path)
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink()
+    with replaced(path) as partial, HDF5Output(partial) as output:
+        output.file.attrs.update(
+            {
+                "format": QUERIES_FORMAT,
+                "format_version": QUERIES_FORMAT_VERSION,
+                "object": dataset.object,
+                "split": dataset.split,
+                "fingerprint": dataset.fingerprint,
+                "group_sha256": group_sha256(labels.symmetry_group),
+                "grid_level": level,
+                "grid_sha256": grid_sha256(level),
+            }
+        )
+        stored = {"dtype": "f4", "compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+        shape = (len(labels), len(queries), 3, 3)
+        rows = output.file.create_dataset("query_rotation", shape, chunks=(1, *shape[1:]), track_times=False, **stored)
+        for i, R_gt in enumerate(labels.rotation):
+            rows[i] = queries.rotations(i, R_gt)
+            output.raise_failure()
+            on_image()
+        grid = equivolumetric_grid(level).astype(np.float32)
+        output.file.create_dataset("grid_rotation", data=grid, chunks=True, track_times=False, **stored)

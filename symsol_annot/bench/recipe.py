@@ -24,7 +24,7 @@ BackboneStart = Literal["imagenet", "random"]
 FirstStageStart = Literal["imagenet", "random", "best-recall", "best-precision"]
 
 _MARKED, _OBJECTS = "marked", "objects"
-_MAX_EPOCHS, _MAX_BATCH, _MAX_NEGATIVES, _MAX_FREQUENCIES = 100_000, 2**16, 2**20, 16
+_MAX_EPOCHS, _MAX_BATCH_SIZE, _MAX_NEGATIVES, _MAX_FREQUENCIES = 100_000, 2**16, 2**20, 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,31 +34,33 @@ class _Training:
     Attributes:
         title: the row of the thesis's tables, in words.
         epochs: how many.
-        batch: images a step; an epoch's last images, if fewer, are left out of it.
-        rates: Adam's learning rates, one after another.
-        rates_drop_after: after how many epochs each but the first begins.
-        held_out: the last so many images of the train split, which are evaluated after each epoch instead of learnt.
+        batch_size: images a step; an epoch's last images, if fewer, are left out of it.
+        learning_rates: Adam's learning rates, one after another.
+        milestones: after how many epochs each but the first begins.
+        validation_images: how many images, the last of the train split, are evaluated after each epoch, not learnt.
     """
 
     title: str
     epochs: int
-    batch: int
-    rates: tuple[float, ...]
-    rates_drop_after: tuple[int, ...]
-    held_out: int = 500
+    batch_size: int
+    learning_rates: tuple[float, ...]
+    milestones: tuple[int, ...]
+    validation_images: int = 500
 
     def faults(self) -> Iterator[str]:
         """Say what makes no sense."""
-        yield from _outside(self, epochs=(1, _MAX_EPOCHS), batch=(2, _MAX_BATCH), held_out=(0, math.inf))
-        if len(self.rates) != len(self.rates_drop_after) + 1:
-            drops = len(self.rates_drop_after)
-            yield f"rates: expected one more than rates_drop_after, which are {drops}, found {len(self.rates)}"
-        if not all(0.0 < rate < math.inf for rate in self.rates):
-            yield f"rates: expected numbers above 0, found {list(self.rates)}"
-        if sorted(set(self.rates_drop_after)) != list(self.rates_drop_after):
-            yield f"rates_drop_after: expected ascending epochs, found {list(self.rates_drop_after)}"
-        if any(not 0 < epoch < self.epochs for epoch in self.rates_drop_after):
-            yield f"rates_drop_after: expected epochs from 1 to {self.epochs - 1}, found {list(self.rates_drop_after)}"
+        yield from _outside(
+            self, epochs=(1, _MAX_EPOCHS), batch_size=(2, _MAX_BATCH_SIZE), validation_images=(0, math.inf)
+        )
+        if len(self.learning_rates) != len(self.milestones) + 1:
+            drops, rates = len(self.milestones), len(self.learning_rates)
+            yield f"learning_rates: expected one more than milestones, which are {drops}, found {rates}"
+        if not all(0.0 < rate < math.inf for rate in self.learning_rates):
+            yield f"learning_rates: expected numbers above 0, found {list(self.learning_rates)}"
+        if sorted(set(self.milestones)) != list(self.milestones):
+            yield f"milestones: expected ascending epochs, found {list(self.milestones)}"
+        if any(not 0 < epoch < self.epochs for epoch in self.milestones):
+            yield f"milestones: expected epochs from 1 to {self.epochs - 1}, found {list(self.milestones)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +72,7 @@ class HypothesisRecipe(_Training):
         meta_loss: over an image's hypotheses.
         embedded_loss: of one hypothesis.
         epsilon: of RWTA.
-        winners: how EWTA's k falls from M to 1: "halved" (section 5.3.1), or "smooth", evenly in its logarithm.
+        winners_schedule: of EWTA's k, from M to 1: "halved" (section 5.3.1), or "smooth", evenly in its logarithm.
         epochs_to_one: after how many epochs k is 1; for EWTA alone.
         concentration: K of the von Mises loss.
         concentration_at_first: K in the beginning, where it is annealed (section 8.2); evenly in its logarithm.
@@ -82,7 +84,7 @@ class HypothesisRecipe(_Training):
     meta_loss: MetaLoss
     embedded_loss: EmbeddedLoss
     epsilon: float = 0.05
-    winners: WinnersSchedule = "halved"
+    winners_schedule: WinnersSchedule = "halved"
     epochs_to_one: int | None = None
     concentration: float = 4.0
     concentration_at_first: float | None = None
@@ -132,7 +134,7 @@ class ClassifierRecipe(_Training):
         frozen_epochs: for how many epochs the first stage stays as it began.
         start: of the first stage: that of the hypothesis network with the lowest error in recall or in precision, or
             a backbone alone.
-        evaluation_level: of the grid on which the held-out images are asked.
+        evaluation_level: of the grid on which the validation images are asked.
     """
 
     negatives: int
@@ -291,5 +293,6 @@ def _outside(recipe: Any, **ranges: tuple[float, float]) -> Iterator[str]:
 
 
 def _refusal(source: str, faults: list[str]) -> SettingsError:
-    count = count_of(faults)
-    return SettingsError(f"{source}: the recipe has {count}; docs/training.md lists the keys:\n" + bulleted(faults))
+    return SettingsError(
+        f"{source}: the recipe has {count_of(faults)}; docs/training.md lists the keys:\n" + bulleted(faults)
+    )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.bench import report
-from symsol_annot.bench.queries import DECOY_COSETS, Queries
+from symsol_annot.bench.queries import DECOY_COSETS, Queries, query_count
 from symsol_annot.bench.scoring import ObjectScores, score_file
 from symsol_annot.bench.submission import write_columns, write_hypotheses
 from symsol_annot.bench.truth import Truth, truth_of
@@ -81,7 +81,7 @@ def rounded_to_grid(path: Path, dataset: Dataset, known: Truth, level: int = STA
 
 def yes_to_queries(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write a classifier that says yes to whatever it is asked and claims nothing on the grid; it must not rank."""
-    count = len(known.labels.symmetry_group) * (1 + DECOY_COSETS)
+    count = query_count(len(known.labels.symmetry_group))
     columns = {
         "query_probability": np.ones((len(known), count), dtype=np.float32),
         **_on_grid([np.zeros(0, dtype=np.int64)] * len(known)),

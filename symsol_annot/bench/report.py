@@ -7,15 +7,15 @@ import math
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
-import scipy
 
 from symsol_annot import __version__
 from symsol_annot.bench.averages import DRAWS, MIN_IMAGES, Figure
+from symsol_annot.bench.metric_table import METRICS, Place, metrics_shown
 from symsol_annot.bench.queries import group_sha256
 from symsol_annot.bench.scoring import ObjectScores, TrackScores
 from symsol_annot.errors import ScoresError
@@ -25,44 +25,6 @@ from symsol_annot.grid import grid_sha256
 SCORES_FORMAT = "symsol-annot scores"
 SCORES_FORMAT_VERSION = 1
 STRATA = ("all", "shown", "hidden", "barely")
-HIGHER, LOWER, NEITHER = "higher", "lower", ""  # is better
-
-# What the table shows of each track: metric, title, what is better. scores.json has every metric.
-TABLE = {
-    "hypotheses": (
-        ("recall_mean_error_rad", "recall mean error, rad (5.7)", LOWER),
-        ("recall_mean_error_image_mean_rad", "  mean of images, rad", LOWER),
-        ("coverage_at_5_deg", "coverage at 5 deg", HIGHER),
-        ("precision_mean_error_rad", "precision mean error, rad (5.9)", LOWER),
-        ("precision_mean_error_continuous_rad", "  to the arcs, rad", LOWER),
-        ("accuracy_at_5_deg", "accuracy at 5 deg", HIGHER),
-        ("f_measure_at_5_deg", "F-measure at 5 deg", HIGHER),
-    ),
-    "classifier": (
-        ("recall", "recall (7.5)", HIGHER),
-        ("precision", "precision (7.6)", HIGHER),
-        ("precision_beyond_half_degree", "  beyond 0.5 deg of the set", HIGHER),
-        ("f_measure", "F-measure (7.8)", HIGHER),
-        ("accuracy", "accuracy (7.7)", HIGHER),
-        ("hard_negative_rate", "hard negative rate", LOWER),
-        ("decoy_false_positive_rate", "decoy false positive rate", LOWER),
-        ("grid_positive_rate", "grid positive rate", NEITHER),
-        ("nothing_predicted_rate", "images without a positive", NEITHER),
-    ),
-    "density": (
-        ("log_likelihood", "log-likelihood", HIGHER),
-        ("log_likelihood_ceiling", "  ceiling", NEITHER),
-        ("log_likelihood_at_gt", "log-likelihood at R_gt", HIGHER),
-        ("log_likelihood_at_gt_ceiling", "  ceiling", NEITHER),
-        ("spread_rad", "spread, rad", LOWER),
-        ("spread_at_ceiling_rad", "  at the ceiling, rad", NEITHER),
-    ),
-}
-BENCHMARK = {
-    "hypotheses": ("recall_mean_error_rad", "coverage_at_5_deg", "precision_mean_error_rad", "accuracy_at_5_deg"),
-    "classifier": ("recall", "precision", "f_measure", "hard_negative_rate"),
-    "density": ("log_likelihood", "log_likelihood_ceiling", "spread_rad"),
-}
 _LISTS = re.compile(r"\[\n[^\[\]{}]*\]")  # innermost lists; a string holds no line break
 F_NOTE = (
     "F is not compared from one stratum to another: a set of 720 has more grid rotations around it than a set of 1,\n"
@@ -90,9 +52,7 @@ def to_document(scores: Sequence[ObjectScores], files: Sequence[Path]) -> dict[s
         "ranks": not any(track.warnings for one in scores for track in one.tracks.values()),
         "versions": {
             "symsol-annot": __version__,
-            "numpy": np.__version__,
-            "scipy": scipy.__version__,
-            "h5py": h5py.__version__,
+            **{name: version(name) for name in ("numpy", "scipy", "h5py")},
         },
         "bootstrap": {"draws": DRAWS, "interval": 0.95, "min_images": MIN_IMAGES},
         "objects": {one.truth.object: _object(one, path) for one, path in zip(scores, files, strict=True)},
@@ -144,16 +104,16 @@ def _per_image(scores: ObjectScores) -> dict[str, Any]:
         **{
             name: {
                 metric: [_number(value) for value in track.per_image.values[metric].tolist()]
-                for metric in table_metrics(name, track)
+                for metric in _tabulated(name, track)
             }
             for name, track in scores.tracks.items()
         },
     }
 
 
-def table_metrics(name: str, track: TrackScores) -> list[str]:
-    """Return the metrics that the table shows of a track, as far as this object has them."""
-    return [metric for metric, _, _ in TABLE[name] if metric in track.per_image.values]
+def _tabulated(name: str, track: TrackScores) -> list[str]:
+    """Return the metrics that tables show of a track, as far as this object has them."""
+    return [metric.name for metric in metrics_shown(name, Place.TABLES) if metric.name in track.per_image.values]
 
 
 def _number(value: float) -> float | None:
@@ -171,13 +131,13 @@ def tables(document: dict[str, Any]) -> str:
     """Return the tables of all objects, and the benchmark's where there are several."""
     parts = [_object_tables(document["method"], name, entry) for name, entry in document["objects"].items()]
     if len(document["objects"]) > 1:
-        parts.append(_benchmark(document))
+        parts.append(_summary(document))
     return "\n\n".join(parts)
 
 
 def _object_tables(method: str, name: str, entry: dict[str, Any]) -> str:
     lines = [f"{name}, {entry['split']} split, {entry['images']} images: {method}"]
-    for track in TABLE:
+    for track in METRICS:
         if track in entry:
             lines += ["", *_track_table(track, entry)]
     if len(entry["strata"]) > 1 and ("hypotheses" in entry or "classifier" in entry):
@@ -189,10 +149,11 @@ def _track_table(track: str, entry: dict[str, Any]) -> list[str]:
     scores = entry[track]
     strata = [stratum for stratum in STRATA if stratum in scores]
     rows = [[scores["name"], *(f"{s} ({entry['strata'][s]})" for s in strata)]]
-    for metric, title, better in TABLE[track]:
-        if metric in scores["all"]:
-            arrow = {HIGHER: " ↑", LOWER: " ↓", NEITHER: ""}[better]
-            rows.append([title + arrow, *(cell(scores[s][metric]) for s in strata)])
+    rows += [
+        [metric.label + metric.arrow, *(cell(scores[s][metric.name]) for s in strata)]
+        for metric in metrics_shown(track, Place.TABLES)
+        if metric.name in scores["all"]
+    ]
     lines = aligned(rows)
     if track == "classifier":
         lines += [f"  p > {scores['threshold']}, grid of level {scores['grid_level']}; the sweep is in --json"]
@@ -212,20 +173,19 @@ def short(value: float, sign: str = "-") -> str:
     return f"{value:{sign}.4f}" if value == 0 or abs(value) >= 1e-3 else f"{value:{sign}.1e}"
 
 
-def _benchmark(document: dict[str, Any]) -> str:
+def _summary(document: dict[str, Any]) -> str:
     """Return a row a figure and a column an object, and their mean."""
     lines = ["all objects, all images"]
-    for track, metrics in BENCHMARK.items():
+    for track in METRICS:
         entries = {name: entry[track] for name, entry in document["objects"].items() if track in entry}
         if not entries:
             continue
-        titles = {metric: title for metric, title, _ in TABLE[track]}
         rows = [[track, *entries, "mean"]]
-        for metric in metrics:
-            values = [entry["all"][metric]["value"] for entry in entries.values()]
+        for metric in metrics_shown(track, Place.SUMMARY):
+            values = [entry["all"][metric.name]["value"] for entry in entries.values()]
             known = [value for value in values if value is not None]
             mean = short(float(np.mean(known))) if known else "-"
-            rows.append([titles[metric].strip(), *("-" if v is None else short(v) for v in values), mean])
+            rows.append([metric.title, *("-" if v is None else short(v) for v in values), mean])
         lines += ["", *aligned(rows)]
     return "\n".join(lines)
 

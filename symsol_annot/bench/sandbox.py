@@ -8,12 +8,12 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.closing import Closing
 from symsol_annot.errors import PredictionsError
 
 SECONDS_PER_REQUEST = 60.0
@@ -41,7 +41,7 @@ class DatasetFacts:
     chunk_bytes: int = 0
 
 
-class SandboxedFile:
+class SandboxedFile(Closing):
     """An HDF5 file of unknown origin. What goes wrong in it is a PredictionsError, whatever HDF5 makes of it."""
 
     def __init__(self, path: Path, seconds: float = SECONDS_PER_REQUEST, memory_bytes: int = MEMORY_BYTES) -> None:
@@ -105,14 +105,6 @@ class SandboxedFile:
             if pipe:
                 with contextlib.suppress(OSError):
                     pipe.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     @property
     def _description(self) -> dict[str, Any]:

@@ -12,35 +12,35 @@ from symsol_annot.bench.recipe import HypothesisRecipe, Recipe
 
 
 @dataclass(frozen=True)
-class Moment:
+class ScheduledValues:
     """What holds at one moment of a training.
 
     Attributes:
-        rate: of learning.
+        learning_rate: of Adam.
         winners: k of EWTA; of another meta loss 1.
         concentration: K of the von Mises loss.
         is_frozen: whether the first stage is.
     """
 
-    rate: float
+    learning_rate: float
     winners: int = 1
     concentration: float = 0.0
     is_frozen: bool = False
 
 
-def moment_at(recipe: Recipe, epoch: float) -> Moment:
+def scheduled_values_at(recipe: Recipe, epoch: float) -> ScheduledValues:
     """Return what holds at an epoch from 0 to the recipe's last."""
-    rate = recipe.rates[bisect_right(recipe.rates_drop_after, epoch)]
+    rate = recipe.learning_rates[bisect_right(recipe.milestones, epoch)]
     if isinstance(recipe, HypothesisRecipe):
-        return Moment(rate, winners_at(recipe, epoch), concentration_at(recipe, epoch))
-    return Moment(rate, is_frozen=epoch < recipe.frozen_epochs)
+        return ScheduledValues(rate, winners_at(recipe, epoch), concentration_at(recipe, epoch))
+    return ScheduledValues(rate, is_frozen=epoch < recipe.frozen_epochs)
 
 
 def winners_at(recipe: HypothesisRecipe, epoch: float) -> int:
     """Return k: halved at whole epochs, or smooth, M^(1 - epoch / epochs_to_one) rounded; 1 from `epochs_to_one` on."""
     if recipe.epochs_to_one is None or epoch >= recipe.epochs_to_one:
         return 1
-    if recipe.winners == "halved":
+    if recipe.winners_schedule == "halved":
         return winners_in_epoch(int(epoch), recipe.hypotheses, recipe.epochs_to_one)
     return max(1, round(recipe.hypotheses ** (1.0 - epoch / recipe.epochs_to_one)))
 

@@ -1,17 +1,20 @@
 """Scores as curves: precision and recall over thresholds, coverage over angles."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from symsol_annot.bench.scores_file import read_scores
-from symsol_annot.canvas import SERIES, new_figure, write_figure
+from symsol_annot.canvas import SERIES, label_text, new_figure, write_figure
 from symsol_annot.errors import ScoresError
+
+Figures: TypeAlias = Mapping[str, Mapping[str, Any]]
 
 _INCHES = (4.2, 3.4)
 _MARKERS = "os^Dv<>"
 _LABELLED = (0.1, 0.5, 0.8, 0.99)  # thresholds whose points are named
+_SHARE = (-0.02, 1.02)  # the limits of an axis
 
 
 def plot_precision_recall(scores: Sequence[Path], path: Path, name: str, stratum: str = "all") -> None:
@@ -27,20 +30,10 @@ def plot_precision_recall(scores: Sequence[Path], path: Path, name: str, stratum
         ScoresError: a file is broken, or has no classifier's track about the object.
         OutputError: the picture cannot be written.
         SettingsError: it is none of those forms.
-        SymsolError: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
-    figure = new_figure(figsize=_INCHES, layout="constrained")
-    axes = figure.add_subplot()
-    for number, (method, figures) in enumerate(_tracks(scores, name, "classifier", stratum)):
-        recall, precision = (_by_number(figures, f"{what}_above_") for what in ("recall", "precision"))
-        thresholds = [t for t in recall if recall[t]["value"] is not None and precision[t]["value"] is not None]
-        points = [(recall[t]["value"], precision[t]["value"]) for t in thresholds]
-        axes.plot(*zip(*points, strict=True), label=method, **_style(number))
-        for threshold, point in zip(thresholds, points, strict=True):
-            if threshold in _LABELLED:
-                axes.annotate(f"{threshold:g}", point, (3, 3), textcoords="offset points", fontsize=6)
-    axes.set(xlabel="recall", ylabel="precision", xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), title=_title(name, stratum))
-    _finish(figure, axes, path)
+    axes_options = {"xlabel": "recall", "ylabel": "precision", "xlim": _SHARE}
+    _plot(scores, path, name, stratum, "classifier", _draw_precision_recall, axes_options)
 
 
 def plot_coverage(scores: Sequence[Path], path: Path, name: str, stratum: str = "all") -> None:
@@ -48,23 +41,55 @@ def plot_coverage(scores: Sequence[Path], path: Path, name: str, stratum: str = 
 
     Args, Raises: as `plot_precision_recall`, of the hypotheses track.
     """
+    axes_options = {"xlabel": "angle, degrees", "ylabel": "share within it"}
+    _plot(scores, path, name, stratum, "hypotheses", _draw_coverage, axes_options)
+
+
+def _plot(
+    scores: Sequence[Path],
+    path: Path,
+    name: str,
+    stratum: str,
+    track: str,
+    draw: Callable[[Any, str, Figures, Mapping[str, Any]], None],
+    axes_options: Mapping[str, Any],
+) -> None:
+    """Write a picture to which each file adds, by `draw`, its method's figures in a style of its own."""
     figure = new_figure(figsize=_INCHES, layout="constrained")
     axes = figure.add_subplot()
-    for number, (method, figures) in enumerate(_tracks(scores, name, "hypotheses", stratum)):
-        for what, dashes in (("coverage", "-"), ("accuracy", "--")):
-            values = {angle: f for angle, f in _by_number(figures, f"{what}_at_").items() if f["value"] is not None}
-            style = {**_style(number), "linestyle": dashes}
-            axes.plot(list(values), [figure["value"] for figure in values.values()], label=f"{what}, {method}", **style)
-            known = {angle: f for angle, f in values.items() if f.get("low") is not None and f.get("high") is not None}
-            ends = ([figure[end] for figure in known.values()] for end in ("low", "high"))
-            axes.fill_between(list(known), *ends, color=style["color"], alpha=0.12, linewidth=0)
-    axes.set(xlabel="angle, degrees", ylabel="share within it", ylim=(-0.02, 1.02), title=_title(name, stratum))
-    _finish(figure, axes, path)
+    for number, (method, figures) in enumerate(_tracks(scores, name, track, stratum)):
+        colour, marker = SERIES[number % len(SERIES)], _MARKERS[number % len(_MARKERS)]
+        draw(axes, method, figures, {"color": colour, "marker": marker, "markersize": 3.5, "linewidth": 1.2})
+    title = name if stratum == "all" else f"{name}, {stratum}"
+    axes.set(**axes_options, ylim=_SHARE, title=label_text(title))
+    axes.title.set_fontsize(9)
+    axes.grid(visible=True, color="0.9", linewidth=0.5)
+    if any(len(line.get_xdata()) for line in axes.lines):
+        axes.legend(fontsize=7, frameon=False)
+    write_figure(figure, path)
 
 
-def _tracks(
-    paths: Sequence[Path], name: str, track: str, stratum: str
-) -> list[tuple[str, Mapping[str, Mapping[str, Any]]]]:
+def _draw_precision_recall(axes: Any, method: str, figures: Figures, style: Mapping[str, Any]) -> None:
+    recall, precision = (_by_number(figures, f"{what}_above_") for what in ("recall", "precision"))
+    thresholds = [t for t in recall if recall[t]["value"] is not None and precision[t]["value"] is not None]
+    points = [(recall[t]["value"], precision[t]["value"]) for t in thresholds]
+    axes.plot([x for x, _ in points], [y for _, y in points], label=label_text(method), **style)
+    for threshold, point in zip(thresholds, points, strict=True):
+        if threshold in _LABELLED:
+            axes.annotate(f"{threshold:g}", point, (3, 3), textcoords="offset points", fontsize=6)
+
+
+def _draw_coverage(axes: Any, method: str, figures: Figures, style: Mapping[str, Any]) -> None:
+    for what, dashes in (("coverage", "-"), ("accuracy", "--")):
+        values = {angle: f for angle, f in _by_number(figures, f"{what}_at_").items() if f["value"] is not None}
+        shares = [figure["value"] for figure in values.values()]
+        axes.plot(list(values), shares, label=label_text(f"{what}, {method}"), **{**style, "linestyle": dashes})
+        known = {angle: f for angle, f in values.items() if f.get("low") is not None and f.get("high") is not None}
+        ends = ([figure[end] for figure in known.values()] for end in ("low", "high"))
+        axes.fill_between(list(known), *ends, color=style["color"], alpha=0.12, linewidth=0)
+
+
+def _tracks(paths: Sequence[Path], name: str, track: str, stratum: str) -> list[tuple[str, Figures]]:
     """Return method and figures of each file."""
     found = []
     for path in paths:
@@ -84,19 +109,3 @@ def _by_number(figures: Mapping[str, Any], prefix: str) -> dict[float, Mapping[s
     number = re.compile(rf"{prefix}([\d.]+)(_deg)?")
     named = {float(found[1]): figures[metric] for metric in figures if (found := number.fullmatch(metric))}
     return dict(sorted(named.items()))
-
-
-def _style(number: int) -> dict[str, Any]:
-    colour, marker = SERIES[number % len(SERIES)], _MARKERS[number % len(_MARKERS)]
-    return {"color": colour, "marker": marker, "markersize": 3.5, "linewidth": 1.2}
-
-
-def _title(name: str, stratum: str) -> str:
-    return name if stratum == "all" else f"{name}, {stratum}"
-
-
-def _finish(figure: Any, axes: Any, path: Path) -> None:
-    axes.title.set_fontsize(9)
-    axes.grid(visible=True, color="0.9", linewidth=0.5)
-    axes.legend(fontsize=7, frameon=False)
-    write_figure(figure, path)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from symsol_annot.bench import metrics
 from symsol_annot.bench.averages import Figure
 from symsol_annot.bench.format import STANDARD_THRESHOLD
+from symsol_annot.bench.metric_table import ANGLES_DEG, SWEPT_THRESHOLDS
 from symsol_annot.bench.nearest import angles_to_arcs, nearest_angles, nearest_angles_on_circles
 from symsol_annot.bench.queries import Queries
 from symsol_annot.bench.tracks import (
@@ -23,8 +24,6 @@ from symsol_annot.bench.truth import Truth, near_elements
 from symsol_annot.grid import STANDARD_LEVEL, GridIndex, grid_size
 from symsol_annot.so3 import Angles, Rotations
 
-ANGLES_DEG = (1, 2, 5, 10, 15, 30)
-SWEPT_THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 NEAR_SET_RAD = float(np.radians(0.5))
 _ROUNDING_RAD = 1e-9  # neighbours on the lattice are 1, 2, .. degrees apart, which is where the thresholds lie
 HARD_NEGATIVE_RAD = float(np.radians(5.0)) + _ROUNDING_RAD
@@ -105,22 +104,30 @@ class HypothesesScorer:
         return ()
 
 
-class ClassifierScorer:
+class _OnGrid:
+    """What is scored on a grid, which is made when it is first needed."""
+
+    def __init__(self, level: int) -> None:
+        self._level = level
+
+    @cached_property
+    def _grid(self) -> GridIndex:
+        return GridIndex(self._level)
+
+
+class ClassifierScorer(_OnGrid):
     """Recall, precision and F-measure of a classifier (section 7.2)."""
 
     name = "classifier"
 
     def __init__(self, track: ClassifierTrack, truth: Truth) -> None:
-        self._truth, self._level = truth, track.grid_level
+        super().__init__(track.grid_level)
+        self._truth = truth
         self._thresholds = np.array([t for t in SWEPT_THRESHOLDS if t >= track.floor])
         self._standard = int(np.searchsorted(self._thresholds, STANDARD_THRESHOLD))
         self._queries = Queries(truth.fingerprint, truth.labels.symmetry_group)
         self._near = near_elements(truth.labels.symmetry_group, HARD_NEGATIVE_RAD)
         self.facts: Facts = {"floor": track.floor, "threshold": STANDARD_THRESHOLD, "grid_level": self._level}
-
-    @cached_property
-    def _grid(self) -> GridIndex:
-        return GridIndex(self._level)
 
     def score_block(self, block: ClassifierBlock) -> list[Row]:
         """Return the figures of each image."""
@@ -176,18 +183,15 @@ class ClassifierScorer:
         return (warning, *_grid_warnings(self._level))
 
 
-class DensityScorer:
+class DensityScorer(_OnGrid):
     """Log-likelihood and spread of a density on the grid, each beside that of the best density there."""
 
     name = "density"
 
     def __init__(self, track: DensityTrack, truth: Truth) -> None:
-        self._truth, self._level = truth, track.grid_level
+        super().__init__(track.grid_level)
+        self._truth = truth
         self.facts: Facts = {"grid_level": self._level}
-
-    @cached_property
-    def _grid(self) -> GridIndex:
-        return GridIndex(self._level)
 
     def score_block(self, block: DensityBlock) -> list[Row]:
         """Return the figures of each image."""

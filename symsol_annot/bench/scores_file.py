@@ -10,14 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.bench.averages import PerImage, figures
-from symsol_annot.bench.report import SCORES_FORMAT, SCORES_FORMAT_VERSION, TABLE
+from symsol_annot.bench.format import version_fault
+from symsol_annot.bench.metric_table import METRICS, pooled_metrics
+from symsol_annot.bench.report import SCORES_FORMAT, SCORES_FORMAT_VERSION, STRATA
 from symsol_annot.bench.structure import shown
 from symsol_annot.errors import ScoresError, bulleted
 
 _MAX_BYTES = 2**28
-_POOLED = ("recall_mean_error_rad", "coverage_at_5_deg")
 _LARGEST = 1e6  # no figure and no set comes near it
 _SHOWN_FAULTS = 10
+_ENDS = ("value", "low", "high")
 _DIGITS_LOST = 1e-9  # a scores.json has figures to twelve digits
 
 
@@ -37,9 +39,8 @@ def read_scores(path: Path) -> dict[str, Any]:
         raise ScoresError(f"{path}: is no JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != SCORES_FORMAT:
         raise ScoresError(f"{path}: is no scores file ('format' is not {SCORES_FORMAT!r}); `score --json` writes one")
-    if document.get("format_version") != SCORES_FORMAT_VERSION:
-        found = shown(document.get("format_version"))
-        raise ScoresError(f"{path}: this version reads format_version {SCORES_FORMAT_VERSION}, found {found}")
+    if fault := version_fault(document.get("format_version"), SCORES_FORMAT_VERSION):
+        raise ScoresError(f"{path}: {fault}")
     faults = list(islice(_faults(document), _SHOWN_FAULTS))
     if faults:
         lines = bulleted(faults)
@@ -74,7 +75,10 @@ def _object_faults(entry: Any) -> Iterator[str]:
     if not isinstance(strata, dict) or not all(_are_images(rows, images) for rows in strata.values()):
         yield f".per_image.strata is no table of ascending images of {images}"
         return
-    for track in (track for track in TABLE if track in entry):
+    if not set(strata) <= set(STRATA[1:]):  # "all" would take the place of all images
+        yield f".per_image.strata has others than {', '.join(STRATA[1:])}"
+        return
+    for track in (track for track in METRICS if track in entry):
         yield from _track_faults(track, entry[track], per_image.get(track), images, ["all", *strata])
 
 
@@ -94,18 +98,17 @@ def _track_faults(track: str, scores: Any, columns: Any, images: int, strata: li
         for stratum in strata:
             figures = scores.get(stratum)
             figure = figures.get(metric) if isinstance(figures, dict) else None
-            if not isinstance(figure, dict) or "value" not in figure or not _is_figure(figure["value"]):
-                yield f".{track}.{stratum}.{metric} has no value"
+            if not isinstance(figure, dict) or not all(end in figure and _is_figure(figure[end]) for end in _ENDS):
+                yield f".{track}.{stratum}.{metric} has no value with an interval"
 
 
 def per_image_table(entry: dict[str, Any], track: str) -> PerImage:
     """Return the figures of each image that an object's scores hold of a track."""
-    columns = entry["per_image"][track]
+    columns, pooled = entry["per_image"][track], pooled_metrics(track)
     values = {metric: np.array(column, dtype=np.float64) for metric, column in columns.items()}
     sizes = np.array(entry["per_image"]["set_size"], dtype=np.float64)
     weights = {
-        metric: np.where(np.isnan(column), 0.0, sizes if metric in _POOLED else 1.0)
-        for metric, column in values.items()
+        metric: np.where(np.isnan(column), 0.0, sizes if metric in pooled else 1.0) for metric, column in values.items()
     }
     return PerImage(np.arange(entry["images"]), values, weights)
 
@@ -122,20 +125,18 @@ def strata_of(entry: dict[str, Any]) -> dict[str, npt.NDArray[np.bool_]]:
 def figures_that_differ(entry: dict[str, Any]) -> Iterator[str]:
     """Yield the figures of an object's scores, or ends of their intervals, that its images' figures do not give."""
     strata = strata_of(entry)
-    for track in (track for track in TABLE if track in entry):
+    for track in (track for track in METRICS if track in entry):
         for stratum, computed in figures(per_image_table(entry, track), strata).items():
             for metric, figure in computed.items():
                 found = entry[track][stratum][metric]
-                for end, value in (("value", figure.value), ("low", figure.low), ("high", figure.high)):
-                    if not _is_same(found.get(end), value):
+                for end in _ENDS:
+                    if not _is_same(found[end], value := getattr(figure, end)):
                         where = f"{track}.{stratum}.{metric}.{end}"
-                        yield f"{where}: says {shown(found.get(end))}, its images give {value:.12g}"
+                        yield f"{where}: says {shown(found[end])}, its images give {value:.12g}"
 
 
-def _is_same(said: Any, computed: float) -> bool:
-    return _is_figure(said) and bool(
-        np.isclose(np.nan if said is None else said, computed, _DIGITS_LOST, _DIGITS_LOST, equal_nan=True)
-    )
+def _is_same(said: float | None, computed: float) -> bool:
+    return bool(np.isclose(np.nan if said is None else said, computed, _DIGITS_LOST, _DIGITS_LOST, equal_nan=True))
 
 
 def _is_text(value: Any) -> bool:

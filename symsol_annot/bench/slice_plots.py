@@ -11,7 +11,7 @@ from symsol_annot.bench.checkpoints import Checkpoint
 from symsol_annot.bench.format import STANDARD_THRESHOLD
 from symsol_annot.bench.learners import embedded, probabilities
 from symsol_annot.bench.models import RotationClassifier
-from symsol_annot.canvas import SERIES, new_figure, write_figure
+from symsol_annot.canvas import SERIES, label_text, new_figure, write_figure
 from symsol_annot.dataset import Dataset, Sample
 from symsol_annot.errors import ModelError, RotationError
 from symsol_annot.so3 import Angles, Rotations, rotations_about
@@ -75,14 +75,14 @@ def plot_slice(
         RotationError: another axis.
         OutputError: the picture cannot be written.
         SettingsError: it is none of those forms.
-        SymsolError: matplotlib is not installed.
+        MissingExtraError: matplotlib is not installed.
     """
     angles_deg = np.linspace(-reach_deg, reach_deg, 1441)
     figure = new_figure(figsize=(5.4, 2.8), layout="constrained")
     axes = figure.add_subplot()
     for number, (name, classifier) in enumerate(classifiers):
         said = probability_along(classifier, sample, axis, np.radians(angles_deg))
-        axes.plot(angles_deg, said, color=SERIES[number % len(SERIES)], linewidth=1.2, label=name)
+        axes.plot(angles_deg, said, color=SERIES[number % len(SERIES)], linewidth=1.2, label=label_text(name))
     for angle_deg in members_on(sample, axis):
         axes.axvline(angle_deg, color="0.6", linewidth=0.6, linestyle=":")
     axes.axhline(STANDARD_THRESHOLD, color="0.8", linewidth=0.6)

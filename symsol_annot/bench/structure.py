@@ -17,6 +17,7 @@ from symsol_annot.bench.format import (
     TRACKS,
     is_level,
     track_of,
+    version_fault,
 )
 from symsol_annot.bench.queries import group_sha256
 from symsol_annot.bench.sandbox import DatasetFacts, SandboxedFile
@@ -39,6 +40,15 @@ _ADVICE = {
 def shown(value: Any) -> str:
     """Return a stranger's value for a message: in quotes, with control characters escaped, and short."""
     return repr(value) if len(repr(value)) <= _SHOWN_CHARACTERS else f"{repr(value)[:_SHOWN_CHARACTERS]}..."
+
+
+def _fault_of_value(name: str, value: Any, right: dict[str, Any]) -> str:
+    """Say why an attribute's value is not the one that it should be, as far as that is known; "" where it is."""
+    if name == "format_version":
+        return version_fault(value, right[name])
+    if name not in right or value == right[name]:
+        return ""
+    return f"attribute {name!r}: expected {right[name]!r}, found {shown(value)}{_ADVICE.get(name, '')}"
 
 
 class Structure:
@@ -94,9 +104,8 @@ class Structure:
                 self.faults.add(track, f"attribute {name!r} {reason}")
             elif not isinstance(value, int | float if kind is float else kind):
                 self.faults.add(track, f"attribute {name!r}: expected {_WORDS[kind]}, found {shown(value)}")
-            elif name in right and value != right[name]:
-                advice = _ADVICE.get(name, "")
-                self.faults.add(track, f"attribute {name!r}: expected {right[name]!r}, found {shown(value)}{advice}")
+            elif fault := _fault_of_value(name, value, right):
+                self.faults.add(track, fault)
         return len(self.faults) == before
 
     def is_shaped(self, name: str, types: tuple[str, ...], shape: tuple[int | str, ...]) -> bool:

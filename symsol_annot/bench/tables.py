@@ -7,6 +7,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
 
+_LARGEST_INT = 2**63 - 1  # TOML has none beyond
 _WORDS = {float: "a number", int: "a whole number", dt.date: "a date"}
 
 
@@ -34,6 +35,9 @@ def _is_required(field: "Field[Any]") -> bool:
 
 def _parsed(value: Any, hint: Any, where: str, faults: list[str]) -> Any:
     """Return a value as the type that is wanted; faults go to the list."""
+    if type(value) is int and abs(value) > _LARGEST_INT:  # so large that Python may refuse to print it
+        faults.append(f"{where}: expected a number, found one beyond 64 bits")
+        return value
     origin = get_origin(hint)
     if is_dataclass(hint) or origin in (dict, Mapping):
         return _parsed_table(value, hint, where, faults)

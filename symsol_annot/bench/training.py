@@ -11,22 +11,23 @@ import torch
 from torch import Tensor
 
 from symsol_annot.bench import checkpoints
-from symsol_annot.bench.checkpoints import About, Row
+from symsol_annot.bench.checkpoints import Row, TrainingRecord
 from symsol_annot.bench.devices import choose_device, has_bfloat16, laid_out_for, largest_that_fits
 from symsol_annot.bench.first_stage import FirstStage
 from symsol_annot.bench.learners import learner_of
 from symsol_annot.bench.pretraining import best_network, trained_networks
 from symsol_annot.bench.recipe import ClassifierRecipe, Recipe
-from symsol_annot.bench.schedules import Moment, moment_at
+from symsol_annot.bench.schedules import ScheduledValues, scheduled_values_at
 from symsol_annot.bench.training_data import Batch, decoded, generator, training_data
 from symsol_annot.bench.training_plots import plot_curve
 from symsol_annot.dataset import Dataset, Labels
 from symsol_annot.errors import NotAnnotatedError, SettingsError, TrainingError, bulleted
-from symsol_annot.files import file_sha256, held_folder
+from symsol_annot.files import file_sha256
+from symsol_annot.locks import held_folder
 
-OnStart = Callable[[About, int], object]
+OnStart = Callable[[TrainingRecord, int], object]
 OnImages = Callable[[int], object]
-OnEpoch = Callable[[About], object]
+OnEpoch = Callable[[TrainingRecord], object]
 _STEPS_BETWEEN_CHECKS = 50  # of the loss: each makes the host wait for the GPU
 
 
@@ -59,7 +60,7 @@ def train(
     on_start: OnStart = lambda *_: None,
     on_images: OnImages = lambda _: None,
     on_epoch: OnEpoch = lambda _: None,
-) -> About:
+) -> TrainingRecord:
     """Train a model, or go on with what a folder holds of the same training.
 
     Args:
@@ -73,118 +74,124 @@ def train(
         on_epoch: told of each epoch, once it is kept.
 
     Raises:
-        SettingsError: held-out images that leave none, or a device that is not here.
-        NotAnnotatedError: held-out images, or hard negatives, without symmetry sets.
+        SettingsError: validation images that leave none, or a device that is not here.
+        NotAnnotatedError: validation images, or hard negatives, without symmetry sets.
         TrainingError: a loss that is not finite, a GPU's memory that is too small, or a folder of another training.
         WeightsError: first weights that cannot be had, or a damaged checkpoint.
         OutputError: a file that cannot be written.
     """
     device = choose_device(options.device)
-    about = _about(recipe, dataset, options, device, name)
+    record = _record(recipe, dataset, options, device, name)
     _check(recipe, dataset)
     with held_folder(out), torch.backends.cudnn.flags(enabled=True, benchmark=device.type == "cuda"):
-        run = _Run(about, dataset, out, options, device)
-        on_start(run.about, run.images_an_epoch)
-        while not run.about.is_finished:
+        run = _Run(record, dataset, out, options, device)
+        on_start(run.record, run.images_an_epoch)
+        while not run.record.is_finished:
             run.one_epoch(on_images)
-            on_epoch(run.about)
-    return run.about
+            on_epoch(run.record)
+    return run.record
 
 
 class _Run:
     """A training under way."""
 
-    def __init__(self, about: About, dataset: Dataset, out: Path, options: Options, device: torch.device) -> None:
-        recipe = about.recipe
-        self.about, self._out, self._device = about, out, device
+    def __init__(
+        self, record: TrainingRecord, dataset: Dataset, out: Path, options: Options, device: torch.device
+    ) -> None:
+        recipe = record.recipe
+        self.record, self._out, self._device = record, out, device
         is_begun = (out / checkpoints.STATE).exists()
         if is_begun:
-            _refuse_other(out, about)
-        first_file, pretrained = (None, None) if is_begun else _start_of(about, out, options)
-        model = checkpoints.new_model(recipe, pretrained, about.seed)
+            _refuse_other(out, record)
+        first_file, pretrained = (None, None) if is_begun else _start_of(record, out, options)
+        model = checkpoints.new_model(recipe, pretrained, record.seed)
         if first_file is not None:
             model.first_stage.load_hypothesis_network(first_file)
         self._model = laid_out_for(device, model)
         self._learner = learner_of(recipe, model, dataset.symmetry_group)
-        self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.rates[0], fused=True)
+        self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rates[0], fused=True)
         if is_begun:
             checkpoints.restore(out, model, self._optimizer)
-            self.about = replace(checkpoints.read_about(out / checkpoints.STATE), software=about.software)
+            self.record = replace(checkpoints.read_record(out / checkpoints.STATE), software=record.software)
             self._publish()
         elif first_file is not None:
-            self.about = replace(about, first_stage=f"{first_file.parent.name}, sha256 {file_sha256(first_file)}")
+            self.record = replace(record, first_stage=f"{first_file.parent.name}, sha256 {file_sha256(first_file)}")
         if options.is_compiled:
             model.first_stage.compile()
-        learnt = len(dataset) - recipe.held_out
+        learnt = len(dataset) - recipe.validation_images
         self._data = training_data(
-            dataset[:learnt], recipe.batch, about.seed, device, with_rejected=_needs_rejected(recipe)
+            dataset[:learnt], recipe.batch_size, record.seed, device, with_rejected=_needs_rejected(recipe)
         )
-        self._held_out = _held_out(dataset[learnt:]) if recipe.held_out else None
+        self._validation_images = _validation_images(dataset[learnt:]) if recipe.validation_images else None
 
     @property
     def images_an_epoch(self) -> int:
         """How many images an epoch learns from."""
-        return self._data.batches_an_epoch() * self._data.batch
+        return self._data.batches_an_epoch() * self._data.batch_size
 
     def one_epoch(self, on_images: OnImages) -> None:
         """Learn from every image once, evaluate, and keep what came of it."""
-        epoch, steps = self.about.epochs_done, self._data.batches_an_epoch()
-        rng = generator(self._device, self.about.seed, epoch, "negatives")
+        epoch, steps = self.record.epochs_done, self._data.batches_an_epoch()
+        rng = generator(self._device, self.record.seed, epoch, "negatives")
         start, processor_start, images_done = time.perf_counter(), time.process_time(), 0
         total = torch.zeros((), device=self._device)
         self._model.train()
         for step, batch in enumerate(self._data.batches(epoch)):
-            moment = self._moment(epoch + step / steps)
-            loss = self._step_or_say_what_fits(batch, moment, rng)
+            scheduled = self._scheduled_at(epoch + step / steps)
+            loss = self._step_or_say_what_fits(batch, scheduled, rng)
             total += loss
             if (step + 1) % _STEPS_BETWEEN_CHECKS == 0:
                 self._refuse_nan(float(total), epoch)
             images_done += len(batch.images)
             on_images(len(batch.images))
         self._refuse_nan(float(total), epoch)
-        last = self._moment(epoch + (steps - 1) / steps)
-        row = {"epoch": epoch + 1, "loss": float(total) / steps, **_as_row(self.about.recipe, last)}
+        last = self._scheduled_at(epoch + (steps - 1) / steps)
+        row = {"epoch": epoch + 1, "loss": float(total) / steps, **_as_row(self.record.recipe, last)}
         row["images_per_second"] = round(images_done / (time.perf_counter() - start), 1)
         self._refuse_nan(sum(float(t.float().abs().sum()) for t in self._model.state_dict().values()), epoch)
-        if self._held_out:
-            row |= self._learner.evaluate(*self._held_out)
+        if self._validation_images:
+            row |= self._learner.evaluate(*self._validation_images)
         row["seconds"] = round(time.perf_counter() - start, 2)
         row["processor_seconds"] = round(time.process_time() - processor_start, 2)
-        self.about = replace(self.about, rows=(*self.about.rows, row))
-        checkpoints.save(self._out, self.about, self._model, self._optimizer)
+        self.record = replace(self.record, rows=(*self.record.rows, row))
+        checkpoints.save(self._out, self.record, self._model, self._optimizer)
         self._publish()
 
     def _publish(self) -> None:
-        checkpoints.publish(self._out, self.about, self._model)
-        if self.about.rows and importlib.util.find_spec("matplotlib"):
-            plot_curve(self._out / checkpoints.CURVE, self.about)
+        checkpoints.publish(self._out, self.record, self._model)
+        if self.record.rows and importlib.util.find_spec("matplotlib"):
+            plot_curve(self._out / checkpoints.CURVE, self.record)
 
-    def _moment(self, epoch: float) -> Moment:
+    def _scheduled_at(self, epoch: float) -> ScheduledValues:
         """Return what holds at an epoch of this run, which may have more or fewer than its recipe."""
-        return moment_at(self.about.recipe, epoch * self.about.recipe.epochs / self.about.epochs)
+        return scheduled_values_at(self.record.recipe, epoch * self.record.recipe.epochs / self.record.epochs)
 
-    def _step_or_say_what_fits(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:
+    def _step_or_say_what_fits(self, batch: Batch, scheduled: ScheduledValues, rng: torch.Generator) -> Tensor:
         try:
-            return self._step(batch, moment, rng)
+            return self._step(batch, scheduled, rng)
         except torch.cuda.OutOfMemoryError:
             pass  # what the step held is let go only outside of this block
         self._optimizer.zero_grad(set_to_none=True)
         size = len(batch.images)
         fitting = largest_that_fits(
-            lambda count: torch.autograd.backward(self._learner.losses(batch.of(slice(count)), moment, rng).mean()),
-            size,
+            lambda count: torch.autograd.backward(self._learner.losses(batch.of(slice(count)), scheduled, rng).mean()),
+            size // 2,
         )
-        advice = f"{fitting} fit: set batch = {fitting} in a recipe of your own" if fitting else "not even one fits"
+        advice = (
+            f"{fitting[0]} fit: set batch_size = {fitting[0]} in a recipe of your own"
+            if fitting
+            else "not even one fits"
+        )
         raise TrainingError(
             f"{self._device}: its memory is too small for a batch of {size} images; {advice}, end what else "
             f"uses the GPU, or take --device cpu. {self._kept()}"
         )
 
-    def _step(self, batch: Batch, moment: Moment, rng: torch.Generator) -> Tensor:
-        _freeze(self._model.first_stage, is_frozen=moment.is_frozen)
+    def _step(self, batch: Batch, scheduled: ScheduledValues, rng: torch.Generator) -> Tensor:
+        _freeze(self._model.first_stage, is_frozen=scheduled.is_frozen)
         for group in self._optimizer.param_groups:
-            group["lr"] = moment.rate
-        loss = self._learner.losses(batch, moment, rng).mean()
+            group["lr"] = scheduled.learning_rate
+        loss = self._learner.losses(batch, scheduled, rng).mean()
         self._optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         self._optimizer.step()
@@ -193,22 +200,22 @@ class _Run:
     def _refuse_nan(self, value: float, epoch: int) -> None:
         if not math.isfinite(value):
             raise TrainingError(
-                f"the loss or a weight is no longer finite in epoch {epoch + 1}: a rate of "
-                f"{self._moment(epoch).rate:g} is too high for this recipe, or the images are damaged (`symsol-annot "
-                f"verify` tells). {self._kept()}"
+                f"the loss or a weight is no longer finite in epoch {epoch + 1}: a learning rate of "
+                f"{self._scheduled_at(epoch).learning_rate:g} is too high for this recipe, or the images are damaged "
+                f"(`symsol-annot verify` tells). {self._kept()}"
             )
 
     def _kept(self) -> str:
-        done = self.about.epochs_done
+        done = self.record.epochs_done
         return f"{self._out} keeps epoch {done}" if done else "Nothing was kept, as no epoch was finished"
 
 
-def _about(recipe: Recipe, dataset: Dataset, options: Options, device: torch.device, name: str) -> About:
+def _record(recipe: Recipe, dataset: Dataset, options: Options, device: torch.device, name: str) -> TrainingRecord:
     camera = dataset.manifest.recipe["camera"]
     epochs = recipe.epochs if options.epochs is None else options.epochs
     if epochs < 1:
         raise SettingsError(f"epochs: expected 1 or more, found {epochs}")
-    return About(
+    return TrainingRecord(
         name=name,
         recipe=recipe,
         object=dataset.object,
@@ -223,18 +230,19 @@ def _about(recipe: Recipe, dataset: Dataset, options: Options, device: torch.dev
 
 
 def _check(recipe: Recipe, dataset: Dataset) -> None:
-    left = len(dataset) - recipe.held_out
+    left = len(dataset) - recipe.validation_images
     if left < 2:
         raise SettingsError(
-            f"{dataset.folder}: its train split has {len(dataset)} images, of which the recipe holds out "
-            f"{recipe.held_out}; 2 or more have to be left. --held-out N holds out fewer"
+            f"{dataset.folder}: its train split has {len(dataset)} images, of which the recipe takes "
+            f"{recipe.validation_images} for validation; 2 or more have to be left. --validation-images N takes fewer"
         )
     if dataset.is_annotated:
         return
-    if recipe.held_out:
+    if recipe.validation_images:
         raise NotAnnotatedError(
-            f"{dataset.folder}: the train split was rendered without symmetry sets, so its held-out images cannot be "
-            "scored. `symsol-annot render --annotate all` gives every split its sets; --held-out 0 trains unscored"
+            f"{dataset.folder}: the train split was rendered without symmetry sets, so its validation images cannot be "
+            "scored. `symsol-annot render --annotate all` gives every split its sets; --validation-images 0 trains "
+            "unscored"
         )
     if _needs_rejected(recipe):
         raise NotAnnotatedError(
@@ -248,9 +256,9 @@ def _needs_rejected(recipe: Recipe) -> bool:
     return isinstance(recipe, ClassifierRecipe) and recipe.hard_negatives > 0
 
 
-def _refuse_other(out: Path, about: About) -> None:
-    there = checkpoints.read_about(out / checkpoints.STATE)
-    differences = there.differences(about)
+def _refuse_other(out: Path, record: TrainingRecord) -> None:
+    there = checkpoints.read_record(out / checkpoints.STATE)
+    differences = there.differences(record)
     if differences:
         raise TrainingError(
             f"{out} holds another training; nothing was touched. It differs in:\n"
@@ -259,16 +267,16 @@ def _refuse_other(out: Path, about: About) -> None:
         )
 
 
-def _start_of(about: About, out: Path, options: Options) -> tuple[Path | None, str | None]:
+def _start_of(record: TrainingRecord, out: Path, options: Options) -> tuple[Path | None, str | None]:
     """Return the weights of a hypothesis network to begin with, and what its backbone begins with."""
-    start = about.recipe.start
+    start = record.recipe.start
     if start in ("imagenet", "random"):
         return None, "imagenet" if start == "imagenet" else None
-    candidates = options.pretrained or trained_networks(out.resolve().parent, about)
-    return best_network(candidates, about, start), None
+    candidates = options.pretrained or trained_networks(out.resolve().parent, record)
+    return best_network(candidates, record, start), None
 
 
-def _held_out(dataset: Dataset) -> tuple[Tensor, Labels]:
+def _validation_images(dataset: Dataset) -> tuple[Tensor, Labels]:
     return decoded(dataset).images, dataset.labels()
 
 
@@ -277,12 +285,12 @@ def _freeze(stage: FirstStage, *, is_frozen: bool) -> None:
         (stage.freeze if is_frozen else stage.unfreeze)()
 
 
-def _as_row(recipe: Recipe, moment: Moment) -> Row:
-    row: Row = {"rate": moment.rate}
+def _as_row(recipe: Recipe, scheduled: ScheduledValues) -> Row:
+    row: Row = {"learning_rate": scheduled.learning_rate}
     if isinstance(recipe, ClassifierRecipe):
-        return row | {"is_frozen": float(moment.is_frozen)}
+        return row | {"is_frozen": float(scheduled.is_frozen)}
     if recipe.meta_loss == "ewta":
-        row["winners"] = moment.winners
+        row["winners"] = scheduled.winners
     if recipe.embedded_loss == "von-mises":
-        row["concentration"] = moment.concentration
+        row["concentration"] = scheduled.concentration
     return row

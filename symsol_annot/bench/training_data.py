@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
-from symsol_annot.bench.devices import cores, free_bytes
+from symsol_annot.bench.devices import free_bytes
 from symsol_annot.bench.negatives import rejected_candidates
 from symsol_annot.dataset import Dataset, Sample
+from symsol_annot.machine import cores
 from symsol_annot.order import shuffled_order
 
 _DEVICE_SHARE, _HOST_SHARE = 0.5, 0.6  # of free memory that images may take; a network needs the rest
@@ -59,11 +60,11 @@ class TrainingData(Protocol):
 
     Attributes:
         where: the images are, in words.
-        batch: how many a batch has.
+        batch_size: of a batch, in images.
     """
 
     where: str
-    batch: int
+    batch_size: int
 
     def batches(self, epoch: int) -> Iterator[Batch]:
         """Return the batches of an epoch, in its order."""
@@ -75,9 +76,9 @@ class TrainingData(Protocol):
 class InMemory:
     """All images decoded: in the device's memory, or in the host's, pinned for a GPU."""
 
-    def __init__(self, images: Batch, batch: int, seed: int, device: torch.device, *, on_device: bool) -> None:
+    def __init__(self, images: Batch, batch_size: int, seed: int, device: torch.device, *, on_device: bool) -> None:
         self._all = images.to(device) if on_device else images
-        self.batch, self._seed, self._device = min(batch, len(images.images)), seed, device
+        self.batch_size, self._seed, self._device = min(batch_size, len(images.images)), seed, device
         self._has_to_move = device.type != "cpu" and not on_device
         self.where = "GPU memory" if on_device and device.type != "cpu" else "memory"
 
@@ -85,13 +86,13 @@ class InMemory:
         """Return the batches of an epoch, shuffled over all images."""
         images = self._all.images
         order = torch.randperm(len(images), generator=generator("cpu", self._seed, epoch, "order"))
-        for rows in torch.split(order[: self.batches_an_epoch() * self.batch], self.batch):
+        for rows in torch.split(order[: self.batches_an_epoch() * self.batch_size], self.batch_size):
             batch = self._all.of(rows.to(images.device))
             yield batch.pinned().to(self._device) if self._has_to_move else batch
 
     def batches_an_epoch(self) -> int:
         """Return how many batches an epoch has."""
-        return len(self._all.images) // self.batch
+        return len(self._all.images) // self.batch_size
 
 
 class Streamed:
@@ -102,21 +103,21 @@ class Streamed:
     def __init__(
         self,
         dataset: Dataset,
-        batch: int,
+        batch_size: int,
         seed: int,
         device: torch.device,
         workers: int,
         is_rejected: Tensor | None = None,
     ) -> None:
         self._dataset, self._seed, self._device, self._is_rejected = dataset, seed, device, is_rejected
-        self._workers = max(1, min(workers, len(dataset) // batch))
-        self.batch = min(batch, len(dataset))
+        self._workers = max(1, min(workers, len(dataset) // batch_size))
+        self.batch_size = min(batch_size, len(dataset))
 
     def batches(self, epoch: int) -> Iterator[Batch]:
         """Return the batches of an epoch, a worker's one after the other's."""
         loader = DataLoader(
             _Part(self._dataset, self._seed, epoch),
-            batch_size=self.batch,
+            batch_size=self.batch_size,
             drop_last=True,
             num_workers=self._workers,
             collate_fn=_collate,
@@ -130,17 +131,17 @@ class Streamed:
     def batches_an_epoch(self) -> int:
         """Return how many batches an epoch has: whole ones of each worker's part."""
         n, parts = len(self._dataset), self._workers
-        return sum((n * (part + 1) // parts - n * part // parts) // self.batch for part in range(parts))
+        return sum((n * (part + 1) // parts - n * part // parts) // self.batch_size for part in range(parts))
 
 
 def training_data(
-    dataset: Dataset, batch: int, seed: int, device: torch.device, *, with_rejected: bool = False
+    dataset: Dataset, batch_size: int, seed: int, device: torch.device, *, with_rejected: bool = False
 ) -> TrainingData:
     """Return a split's batches from the nearest memory that holds its images; else from worker processes.
 
     Args:
         dataset: its images.
-        batch: how many a batch has.
+        batch_size: of a batch, in images.
         seed: of their order.
         device: where they are needed.
         with_rejected: whether batches have `is_rejected`.
@@ -154,10 +155,10 @@ def training_data(
     needed = len(dataset) * camera["width"] * camera["height"] * 3
     is_free = needed <= _HOST_SHARE * free_bytes(torch.device("cpu"))
     if not is_free:
-        return Streamed(dataset, batch, seed, device, min(cores(), _MAX_WORKERS), is_rejected)
+        return Streamed(dataset, batch_size, seed, device, min(cores(), _MAX_WORKERS), is_rejected)
     fits_device = device.type == "cpu" or needed <= _DEVICE_SHARE * free_bytes(device)
     images = decoded(dataset)._replace(is_rejected=is_rejected)
-    return InMemory(images, batch, seed, device, on_device=fits_device)
+    return InMemory(images, batch_size, seed, device, on_device=fits_device)
 
 
 def decoded(dataset: Dataset) -> Batch:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from symsol_annot.bench.nearest import Circles, find_circles
 from symsol_annot.dataset import Dataset, Labels, load
 from symsol_annot.errors import DataError
-from symsol_annot.manifest import MANIFEST_NAME
+from symsol_annot.set_folders import set_folders
 from symsol_annot.so3 import Rotations, angle_between
 
 BARELY_PX = 20  # at an image size of 224; scaled by area
@@ -95,10 +95,10 @@ def find_set(data: Path, object_name: str) -> Path:
     Raises:
         DataError: there is none.
     """
-    folder = data if (data / MANIFEST_NAME).is_file() else data / object_name
-    if not (folder / MANIFEST_NAME).is_file():
-        raise DataError(f"{data}: holds no set of the object {object_name!r}; --data names the folder that does")
-    return folder
+    for folder in set_folders(data):
+        if folder == data or folder.name == object_name:
+            return folder
+    raise DataError(f"{data}: holds no set of the object {object_name!r}; --data names the folder that does")
 
 
 def read_truth(data: Path, object_name: str, split: str) -> Truth:

@@ -13,7 +13,7 @@ import safetensors.torch
 import torch
 from torch import nn
 
-from symsol_annot.errors import WeightsError, bulleted
+from symsol_annot.errors import WeightsError, bulleted, first_of
 from symsol_annot.files import file_sha256, write_atomically
 
 Weights: TypeAlias = dict[str, torch.Tensor]
@@ -52,7 +52,8 @@ def read_weights(path: Path) -> Weights:
     strange = [f"{name} ({type(value).__name__})" for name, value in content.items() if not _is_weight(name, value)]
     if strange:
         raise WeightsError(
-            f"{path}: expected names and tensors alone, found {_some(strange)}; save the model's state_dict() alone"
+            f"{path}: expected names and tensors alone, found {first_of(strange, _NAMES_SHOWN)}; "
+            "save the model's state_dict() alone"
         )
     return dict(content)
 
@@ -144,9 +145,4 @@ def _kind(tensor: torch.Tensor) -> str:
 
 def _fault(what: str, names: Iterable[str]) -> list[str]:
     found = list(names)
-    return [f"{len(found)} {what}: {_some(found)}"] if found else []
-
-
-def _some(names: list[str]) -> str:
-    more = len(names) - _NAMES_SHOWN
-    return ", ".join(names[:_NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")
+    return [f"{len(found)} {what}: {first_of(found, _NAMES_SHOWN)}"] if found else []

@@ -8,10 +8,11 @@ import numpy.typing as npt
 
 from symsol_annot.bench.nearest import nearest_angles
 from symsol_annot.dataset import Dataset, Sample
-from symsol_annot.errors import ObjectError, RendererMissingError
+from symsol_annot.errors import DataError, RendererMissingError
 from symsol_annot.gallery.runs import Run
 from symsol_annot.gallery.sources import Source
-from symsol_annot.objects import ObjectSpec, builtin_names, load_object
+from symsol_annot.objects import ObjectSpec
+from symsol_annot.origin import plan_behind
 from symsol_annot.render_process import RenderProcess
 from symsol_annot.scene import Camera, Renderer, RenderSettings
 
@@ -88,14 +89,11 @@ class Redrawer:
 
 def _opened(dataset: Dataset, given: ObjectSpec | None, open_renderer: OpenRenderer) -> tuple[Renderer | None, str]:
     """Return what draws a set's object as its images were drawn, or None and why there is no such thing."""
-    recipe = dataset.manifest.recipe
-    if dataset.manifest.is_imported:
-        return None, "the set was imported, and how its images were drawn is not known"
     try:
-        spec = _object_of(dataset, given)
-        renderer = open_renderer(spec, Camera(**recipe["camera"]), RenderSettings.from_dict(recipe["render"]))
+        plan = plan_behind(dataset.folder, dataset.manifest, given)
+        renderer = open_renderer(plan.spec, plan.camera, plan.settings)
         _ = renderer.versions  # starts it
-    except (ObjectError, RendererMissingError) as error:
+    except (DataError, RendererMissingError) as error:
         return None, str(error)
     return renderer, ""
 
@@ -105,24 +103,6 @@ def _drawn(renderer: Renderer, sample: Sample, element: int, angle_rad: float) -
     differing = int(np.count_nonzero(view.segmentation != sample.segmentation))
     is_member = bool(np.asarray(sample.symmetry_mask)[element])
     return Drawing(element, is_member, float(np.degrees(angle_rad)), differing, view.rgb)
-
-
-def _object_of(dataset: Dataset, given: ObjectSpec | None) -> ObjectSpec:
-    """Return the object that a set was made from.
-
-    Raises:
-        ObjectError: it is not built in and was not given, or is another one.
-    """
-    name = dataset.object
-    if given and given.name == name:
-        spec = given
-    elif name in builtin_names():
-        spec = load_object(name)
-    else:
-        raise ObjectError(f"the object {name!r} is not built in; give its folder with --object")
-    if spec.digest != dataset.manifest.recipe["object_sha256"]:
-        raise ObjectError(f"the set was made from another {name} than the one here (their digests differ)")
-    return spec
 
 
 def _chosen_images(images: int, count: int, runs: Sequence[Run]) -> tuple[int, ...]:

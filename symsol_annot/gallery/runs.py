@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.bench.metric_table import NEITHER, Place, metrics_shown
 from symsol_annot.bench.predicted import Predicted, predicted_rotations
 from symsol_annot.bench.predictions import Predictions, open_predictions
-from symsol_annot.bench.report import NEITHER, TABLE
 from symsol_annot.bench.scoring import TrackScores, score
 from symsol_annot.bench.tracks import Track
 from symsol_annot.bench.truth import Truth
@@ -118,12 +118,12 @@ def _metrics(track: str, scores: TrackScores) -> list[Metric]:
     """Return the table's metrics, each of which says something of a single image."""
     found: list[Metric] = []
     over = ""
-    for name, title, better in TABLE[track]:
-        over = over if title.startswith(" ") else title
-        values = scores.per_image.values.get(name)
-        if values is None or name == _SAME_OF_ONE_IMAGE:
+    for metric in metrics_shown(track, Place.TABLES):
+        over = over if metric.is_detail else metric.title
+        values = scores.per_image.values.get(metric.name)
+        if values is None or metric.name == _SAME_OF_ONE_IMAGE:
             continue
-        words = f"{over}: {title.strip()}" if title.startswith(" ") else title
-        means = {stratum: figures[name].value for stratum, figures in scores.figures.items()}
-        found.append(Metric(name, words, better, values, means))
+        title = f"{over}: {metric.title}" if metric.is_detail else metric.title
+        means = {stratum: figures[metric.name].value for stratum, figures in scores.figures.items()}
+        found.append(Metric(metric.name, title, metric.better, values, means))
     return found

@@ -8,7 +8,8 @@ from pathlib import Path
 from symsol_annot.bench.truth import Truth, truth_of
 from symsol_annot.dataset import Dataset, load
 from symsol_annot.errors import DataError
-from symsol_annot.manifest import MANIFEST_NAME, SPLITS, read_manifest
+from symsol_annot.manifest import SPLITS, read_manifest
+from symsol_annot.set_folders import set_folders
 
 _NOT_IN_FILE_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -40,10 +41,9 @@ def open_sources(data: Path, splits: Sequence[str] = ("test",), limit: int | Non
         DataError: no set is there, none has such a split, or one is damaged.
         NotAnnotatedError: a split was rendered without symmetry sets.
     """
-    folders = [data] if (data / MANIFEST_NAME).exists() else sorted(at.parent for at in data.glob(f"*/{MANIFEST_NAME}"))
     found = [
         (folder, split)
-        for folder in folders or [data]
+        for folder in set_folders(data) or [data]
         for split, images in ((split, read_manifest(folder).images(split)) for split in SPLITS)
         if images and split in splits
     ]

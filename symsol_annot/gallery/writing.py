@@ -8,8 +8,7 @@ sets/00-cylO-test/redrawn.js    which candidates were drawn again; their picture
 
 import contextlib
 import os
-import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import resources
 from importlib.util import find_spec
@@ -20,7 +19,7 @@ import numpy as np
 from symsol_annot import __version__
 from symsol_annot.bench.predicted import WHAT, Predicted
 from symsol_annot.errors import OutputError, SymsolError
-from symsol_annot.files import make_folder, output_errors
+from symsol_annot.files import make_folder, output_errors, replaced_folder
 from symsol_annot.gallery.redrawn import Drawing, Redrawer
 from symsol_annot.gallery.runs import Run
 from symsol_annot.gallery.scripts import Document, number, packed, write_script
@@ -69,7 +68,10 @@ def write_gallery(
         RenderError: Blender stopped.
     """
     check_plotly()
-    with _new_folder(out) as new:
+    out = out.absolute()
+    _refuse_other_folder(out)
+    make_folder(out.parent)
+    with replaced_folder(out, writer=f".{os.getpid()}") as new:
         redrawn = [
             _write_source(
                 new, source, [(n, run) for n, run in enumerate(runs) if run.source == k], open_redrawer, on_image
@@ -81,27 +83,13 @@ def write_gallery(
         write_script(new / _INDEX, "index", _index(sources, runs, redrawn))
 
 
-@contextlib.contextmanager
-def _new_folder(out: Path) -> Iterator[Path]:
-    """Give an empty folder beside `out`, which takes its place at the end, and goes where there is an error."""
-    out = out.absolute()
+def _refuse_other_folder(out: Path) -> None:
+    """Refuse what is there and is no gallery, unless it is an empty folder."""
     with output_errors(out):
         if out.exists() and not out.is_dir():
             raise NotADirectoryError(20, "is a file")
         if out.is_dir() and any(out.iterdir()) and not (out / _INDEX).is_file():
             raise OutputError(f"{out}: holds something that is no gallery; nothing was touched. Choose another --out")
-    make_folder(out.parent)
-    new, old = (out.with_name(f".{out.name}.{os.getpid()}.{state}") for state in ("partial", "old"))
-    with output_errors(out):
-        try:
-            new.mkdir()
-            yield new
-            if out.exists():
-                out.rename(old)
-            new.rename(out)
-        finally:
-            for leftover in (new, old):
-                shutil.rmtree(leftover, ignore_errors=True)
 
 
 def _write_page(folder: Path) -> None:

@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from datetime import date
+from itertools import accumulate
 
 from symsol_annot.errors import SettingsError
 
@@ -33,12 +34,22 @@ class About:
         texts = (self.title, *self.authors)
         if not self.authors or any(not text.strip() or not text.isprintable() for text in texts):
             raise SettingsError(f"title and authors: expected text on one line, found {texts!r}")
-        if not re.fullmatch(r"\d+\.\d+\.\d+", self.version):
+        if not all(_is_balanced(text) for text in texts):
+            raise SettingsError(f"title and authors: expected a }} for each {{, or BibTeX is broken, found {texts!r}")
+        if not re.fullmatch(r"\d+\.\d+\.\d+", self.version, re.ASCII):
             raise SettingsError(f"version: expected three numbers, like 1.0.0, found {self.version!r}")
         if self.date is not None and not _is_date(self.date):
             raise SettingsError(f"date: expected a day, like 2026-01-31, found {self.date!r}")
-        if self.url is not None and not re.fullmatch(r"https?://[^\s\"<>]+", self.url):
-            raise SettingsError(f"url: expected http:// or https://, found {self.url!r}")
+        if self.url is not None and not re.fullmatch(r"https?://(?:(?![{}\"<>\\])[!-~])+", self.url):
+            raise SettingsError(
+                f'url: expected http:// or https://, then ASCII without spaces or any of {{}}"<>\\, found {self.url!r}'
+            )
+
+
+def _is_balanced(text: str) -> bool:
+    """Say whether the braces in a text are pairs, as BibTeX counts them."""
+    depths = list(accumulate((character == "{") - (character == "}") for character in text))
+    return min(depths) >= 0 and depths[-1] == 0
 
 
 def _is_date(text: str) -> bool:

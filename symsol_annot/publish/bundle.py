@@ -8,9 +8,9 @@ import hashlib
 import os
 import re
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-from symsol_annot.errors import DataError, OutputError
+from symsol_annot.errors import DataError, OutputError, first_of
 from symsol_annot.files import (
     PARTIAL_SUFFIX,
     file_sha256,
@@ -116,11 +116,12 @@ def open_bundle(folder: Path, expected: Mapping[str, str | None]) -> Bundle:
 def _files_in(folder: Path) -> set[str]:
     """Return the names of all files but the list of checksums and half-written ones; a link is a name, too.
 
-    What is hidden in the folder is left out: programs that upload it keep their notes there (.git, .cache).
+    What is hidden, at any depth, is left out: notes of programs that upload or show it (.git, .DS_Store).
     """
     found = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
     names = {path.relative_to(folder).as_posix() for path in found if not path.name.endswith(PARTIAL_SUFFIX)}
-    return {name for name in names if not name.startswith(".")} - {CHECKSUMS_NAME, _UNFINISHED_NAME}
+    shown = {name for name in names if not any(part.startswith(".") for part in PurePosixPath(name).parts)}
+    return shown - {CHECKSUMS_NAME, _UNFINISHED_NAME}
 
 
 def _read_checksums(folder: Path) -> dict[str, str] | None:
@@ -138,9 +139,7 @@ def _read_checksums(folder: Path) -> dict[str, str] | None:
 
 def _refuse(folder: Path, names: set[str], what: str) -> None:
     if names:
-        listed = sorted(names)
-        more = f" and {len(listed) - _LISTED_NAMES} more" if len(listed) > _LISTED_NAMES else ""
         raise OutputError(
-            f"{folder}: {what}: {', '.join(listed[:_LISTED_NAMES])}{more}. Nothing was touched; "
+            f"{folder}: {what}: {first_of(sorted(names), _LISTED_NAMES)}. Nothing was touched; "
             "move them elsewhere, or choose another folder with --out"
         )

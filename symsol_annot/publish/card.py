@@ -28,14 +28,17 @@ def card(about: About, sets: tuple[PublishedSet, ...], figures: Figures) -> str:
         figures: of each split of each set.
     """
     template = resources.files("symsol_annot.publish").joinpath("card.md").read_text(encoding="utf-8")
-    first = next((one for one in sets if one.manifest.is_annotated(one.splits[-1])), sets[0])
+    pairs = [(one, split) for one in sets for split in reversed(one.splits)]
+    annotated = [(one, split) for one, split in pairs if one.manifest.is_annotated(split)]
+    first, split = (annotated or pairs)[0]
     page = Template(template).substitute(
         title=about.title,
         software=__version__,
         licence=LICENCE,
         licence_url=LICENCE_URL,
         first=first.name,
-        split=first.splits[-1],
+        split=split,
+        **_code_of_sets(first.name, is_annotated=bool(annotated)),
         contents=_contents(sets, figures),
         measured=_measured(sets, figures),
         barely=_barely_in_words(figures),
@@ -43,6 +46,18 @@ def card(about: About, sets: tuple[PublishedSet, ...], figures: Figures) -> str:
         bibtex=bibtex(about),
     )
     return f"---\n{_front_matter(about, sets, figures)}---\n\n{page}"
+
+
+def _code_of_sets(name: str, *, is_annotated: bool) -> dict[str, str]:
+    """Return what the card's examples have on symmetry sets: nothing where no split has any."""
+    groups = 'load_dataset(bundle, "symmetry_groups", split="train")'
+    group = f'np.array(next(row["symmetry_group"] for row in groups if row["set"] == "{name}"))'
+    code = {
+        "load_group": f"\ngroups = {groups}\ngroup = {group}  # (G, 3, 3)",
+        "make_set": '\nsymmetry_set = rotation @ group[np.array(sample["symmetry_mask"])]  # (k, 3, 3)',
+        "read_set": ", sample.symmetry_set",
+    }
+    return code if is_annotated else dict.fromkeys(code, "")
 
 
 def _front_matter(about: About, sets: tuple[PublishedSet, ...], figures: Figures) -> str:

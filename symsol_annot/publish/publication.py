@@ -5,7 +5,8 @@ from pathlib import Path
 
 from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, bulleted
-from symsol_annot.files import file_sha256, held_folder
+from symsol_annot.files import file_sha256
+from symsol_annot.locks import held_folder
 from symsol_annot.manifest import MANIFEST_NAME
 from symsol_annot.publish.about import About
 from symsol_annot.publish.bundle import Bundle, open_bundle

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from symsol_annot.errors import DataError, bulleted
 from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest
+from symsol_annot.set_folders import set_folders
 
 GROUPS_CONFIG = "symmetry_groups"  # beside the sets in the Parquet mirror
 
@@ -50,13 +51,8 @@ def sets_in(folder: Path) -> tuple[PublishedSet, ...]:
         DataError: there is none, or one is damaged, unfinished, imported, or named so that hosts would not take it; the
             message lists all of these.
     """
-    try:
-        inner = sorted(path.parent for path in folder.glob(f"*/{MANIFEST_NAME}"))
-        folders = [folder] if (folder / MANIFEST_NAME).exists() or not inner else inner
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be read: {error.strerror}") from None
     sets, faults = [], []
-    for path in folders:
+    for path in set_folders(folder) or [folder]:
         try:
             found = PublishedSet(path.resolve().name, path, read_manifest(path))
         except DataError as error:

@@ -3,7 +3,7 @@
 import statistics
 import time
 
-from symsol_annot.annotate import annotate, marking_pixels
+from symsol_annot.annotate import annotate, coset_marking_px
 from symsol_annot.objects import load_object
 from symsol_annot.plan import label_rotation
 from symsol_annot.render_process import RenderProcess
@@ -30,7 +30,7 @@ def _hidden(spec, renderer, views):
     index = found = 0
     while found < views:
         R = label_rotation(0, spec.name, "test", index)
-        pixels = marking_pixels(spec, R, float(renderer.marking_pixels(R[None])[0]), renderer)
+        pixels = coset_marking_px(spec, R, float(renderer.marking_pixels(R[None])[0]), renderer)
         if pixels < spec.marking.tolerance_px:
             found += 1
             yield R, pixels

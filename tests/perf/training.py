@@ -3,7 +3,7 @@
 python tests/perf/training.py FOLDER [RECIPE ..] [--device auto] [--rounds 5] [--seconds 8] [--json FILE]
 
 FOLDER is a set with a train split. The ways take turns within a round, each on a warm network of its own; a share is
-taken within its round, and medians are told. Neither counts the evaluation of held-out images, nor the writing of
+taken within its round, and medians are told. Neither counts the evaluation of validation images, nor the writing of
 checkpoints, of which there is one an epoch: both are timed apart. On a CPU shares are of the process's own time, which
 other processes change less; OMP_NUM_THREADS=1 keeps its threads from waiting for each other, where others are at work.
 """
@@ -24,7 +24,7 @@ from symsol_annot.bench import checkpoints, training
 from symsol_annot.bench.devices import choose_device, has_bfloat16, laid_out_for
 from symsol_annot.bench.learners import learner_of
 from symsol_annot.bench.recipe import load_recipe
-from symsol_annot.bench.schedules import moment_at
+from symsol_annot.bench.schedules import scheduled_values_at
 from symsol_annot.bench.training_data import Batch
 from symsol_annot.dataset import load
 
@@ -39,11 +39,11 @@ def measure(folder, recipe="small-wta", device="auto", rounds=5, seconds=8.0):
     device = choose_device(device)
     with load(folder, "train") as images, tempfile.TemporaryDirectory() as temporary:
         made = load_recipe(recipe).for_object(images.object, has_marking=images.has_marking)
-        made = replace(made, start="random", held_out=min(made.held_out, len(images) // 4))
+        made = replace(made, start="random", validation_images=min(made.validation_images, len(images) // 4))
         options = training.Options(device=str(device))
-        about = training._about(made, images, options, device, recipe)
+        record = training._record(made, images, options, device, recipe)
         start = time.perf_counter()
-        run = training._Run(about, images, Path(temporary), options, device)
+        run = training._Run(record, images, Path(temporary), options, device)
         once = {"read_s": time.perf_counter() - start}
         ways = {"training": _Training(run, device), "network alone": _Bare(made, images, device)}
         for way in ways.values():
@@ -87,7 +87,7 @@ class _Training:
 
     def _step(self, number):
         batch = next(self._batches)
-        loss = self._run._step_or_say_what_fits(batch, self._run._moment(self._run.about.epochs / 2), self._rng)
+        loss = self._run._step_or_say_what_fits(batch, self._run._scheduled_at(self._run.record.epochs / 2), self._rng)
         if number % training._STEPS_BETWEEN_CHECKS == 0:
             self._run._refuse_nan(float(loss), 0)
         return len(batch.images)
@@ -100,19 +100,19 @@ class _Bare:
         camera = images.manifest.recipe["camera"]
         model = laid_out_for(device, checkpoints.new_model(recipe, None, 0))
         self._learner = learner_of(recipe, model, images.symmetry_group)
-        self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.rates[0], fused=True)
+        self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rates[0], fused=True)
         self._rng, self._device = torch.Generator(device).manual_seed(0), device
-        self._moment = moment_at(recipe, recipe.epochs / 2)
-        shape = (recipe.batch, camera["height"], camera["width"], 3)
+        self._scheduled = scheduled_values_at(recipe, recipe.epochs / 2)
+        shape = (recipe.batch_size, camera["height"], camera["width"], 3)
         pixels = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
-        self._batch = Batch(pixels, torch.eye(3, device=device).expand(recipe.batch, 3, 3))
+        self._batch = Batch(pixels, torch.eye(3, device=device).expand(recipe.batch_size, 3, 3))
 
     def rate(self, seconds):
         self._learner.model.train()
         return _rate(self._step, seconds, self._device)
 
     def _step(self, _):
-        loss = self._learner.losses(self._batch, self._moment, self._rng).mean()
+        loss = self._learner.losses(self._batch, self._scheduled, self._rng).mean()
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
         self._optimizer.step()
@@ -140,10 +140,10 @@ def _wait(device):
 
 def _once_an_epoch(run, folder):
     start = time.perf_counter()
-    run._learner.evaluate(*run._held_out)
+    run._learner.evaluate(*run._validation_images)
     evaluated = time.perf_counter()
-    run.about = replace(run.about, rows=({"epoch": 1.0, "loss": 1.0, "rate": 1.0},))
-    checkpoints.save(folder, run.about, run._model, run._optimizer)
+    run.record = replace(run.record, rows=({"epoch": 1.0, "loss": 1.0, "learning_rate": 1.0},))
+    checkpoints.save(folder, run.record, run._model, run._optimizer)
     run._publish()
     return {"evaluate_s": evaluated - start, "checkpoint_s": time.perf_counter() - evaluated}
 
