@@ -64,19 +64,23 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         code = error.exit_code
-    except SymsolError as error:
-        click.echo(f"Error: {error}", err=True)
-        code = 1
-    except OSError as error:
-        click.echo(f"Error: {_os_error_in_words(error)}", err=True)
-        code = 1
-    except ImportError as error:  # a missing package is a SymsolError
-        click.echo(f"Error: {_import_error_in_words(error)}", err=True)
+    except (SymsolError, OSError, ImportError) as error:
+        click.echo(f"Error: {_in_words(error)}", err=True)
         code = 1
     except (click.Abort, KeyboardInterrupt):
         click.echo("Interrupted.", err=True)
         code = _INTERRUPTED
     sys.exit(code or 0)
+
+
+def _in_words(error: SymsolError | OSError | ImportError) -> str:
+    match error:
+        case SymsolError():  # a package that is not installed is one
+            return str(error)
+        case OSError():
+            return _os_error_in_words(error)
+        case ImportError():
+            return _import_error_in_words(error)
 
 
 def _os_error_in_words(error: OSError) -> str:
@@ -90,8 +94,8 @@ def _os_error_in_words(error: OSError) -> str:
 
 def _import_error_in_words(error: ImportError) -> str:
     """Name the package that this program asked for, which need not be the one that was not found."""
-    packages = [module.partition(".")[0] for module in _modules_of(error)]
-    package = next((name for name in packages if name not in _OWN), error.name or "a package")
+    packages = [module.partition(".")[0] for module in (*_modules_of(error), error.name or "a package")]
+    package = next((name for name in packages if name not in _OWN), "symsol-annot")
     reason = str(error).strip().partition("\n")[0]
     return f"{package} is broken: {reason}; reinstall it: `pip install --force-reinstall {package}`"
 

@@ -635,7 +635,6 @@ READERS = [
     ["leaderboard", "--out", "out.md"],
     ["validate"],
     ["score"],
-    ["compare"],
     ["plot", "coverage", "--object", "tetX", "--out", "out.png"],
 ]
 

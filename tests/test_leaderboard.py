@@ -218,6 +218,7 @@ def test_no_figure_of_the_page_can_be_left_out(track, folder):
         ),
         ("ewta-cosine = [0.942,", "ewta-cosine = [", "rows.ewta-cosine: expected a number an object, 7, found 6"),
         ("ewta-cosine = [0.942,", "'<b>' = [0.942,", "rows: there is no recipe '<b>' built in"),
+        ('["tet", ', '["<b>", ', "objects: '<b>': a name has letters"),
         ('= "small-ewta"', '= "small-etwa"', "small.ewta-von-mises: there is no recipe 'small-etwa' built in"),
     ],
 )

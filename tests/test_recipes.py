@@ -250,7 +250,11 @@ def test_all_faults_are_told_at_once_with_the_table_they_are_in():
     assert "[objects.cube]: epoch: is no key" in message
 
 
-@pytest.mark.parametrize("text", ["title = ", "marked = 3", "[objects]\ncube = 1"])
+@pytest.mark.parametrize(
+    "text",
+    ["title = ", "marked = 3", "[objects]\ncube = 1", f"title = {'[' * 9999}", f"epochs = {'9' * 9999}"],
+    ids=range(5),
+)
 def test_what_is_no_recipe_is_refused(text):
     assert "is no TOML" in refusal(text) or "expected a table of keys" in refusal(text)
 

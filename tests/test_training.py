@@ -14,6 +14,7 @@ import torch
 from bench_sets import DiscRenderer
 from conftest import make_plan, make_set, threads
 from symsol_annot_cli.main import main
+from tiny_training import CLASSIFIER, CPU, HYPOTHESES, RECIPES, narrow_backbone
 
 from symsol_annot.bench import checkpoints, pretraining, training, training_data
 from symsol_annot.bench.checkpoints import best_epoch, open_checkpoint, read_record
@@ -22,10 +23,10 @@ from symsol_annot.bench.inference import predict
 from symsol_annot.bench.learners import HypothesisLearner
 from symsol_annot.bench.metric_table import METRICS
 from symsol_annot.bench.pretraining import best_network, trained_networks
-from symsol_annot.bench.recipe import ClassifierRecipe, HypothesisRecipe
 from symsol_annot.bench.scoring import score_file
-from symsol_annot.bench.training import Options, train
+from symsol_annot.bench.training import train
 from symsol_annot.bench.training_data import InMemory, Streamed, decoded
+from symsol_annot.bench.training_plots import plot_curve
 from symsol_annot.bench.weights import read_weights
 from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, NotAnnotatedError, SettingsError, TrainingError, WeightsError
@@ -33,33 +34,18 @@ from symsol_annot.generate import generate
 
 torch.set_num_threads(1)
 
-HYPOTHESES = HypothesisRecipe(
-    title="tiny",
-    epochs=4,
-    batch_size=8,
-    learning_rates=(1e-3, 1e-4),
-    milestones=(3,),
-    validation_images=4,
-    hypotheses=4,
-    meta_loss="ewta",
-    embedded_loss="von-mises",
-    epochs_to_one=3,
-    start="random",
-)
-CLASSIFIER = ClassifierRecipe(
-    title="tiny",
-    epochs=4,
-    batch_size=8,
-    learning_rates=(1e-3, 1e-4),
-    milestones=(3,),
-    validation_images=4,
-    negatives=16,
-    frozen_epochs=2,
-    start="random",
-    evaluation_level=0,
-)
-RECIPES = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER}
-CPU = Options(device="cpu")
+
+@pytest.fixture(scope="module", autouse=True)
+def _cheap():
+    """A narrow backbone, and no curve before the last epoch: drawing takes longer than the epochs."""
+
+    def at_the_end(path, record):
+        if record.is_finished:
+            plot_curve(path, record)
+
+    with narrow_backbone(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "plot_curve", at_the_end)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -334,6 +320,19 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_epoch(images, t
     kept = open_checkpoint(tmp_path / "run")
     assert kept.record.epochs_done == 2
     assert all(tensor.isfinite().all() for tensor in kept.model.state_dict().values())
+
+
+def test_a_mean_of_adam_s_that_is_not_finite_stops_though_loss_and_weights_are(images, tmp_path, monkeypatch):
+    step = torch.optim.Adam.step
+
+    def overflowing(self):
+        step(self)
+        next(iter(self.state.values()))["exp_avg_sq"].view(-1)[0] = float("inf")
+
+    monkeypatch.setattr(torch.optim.Adam, "step", overflowing)
+    with pytest.raises(TrainingError, match="no longer finite in epoch 1"):
+        train(HYPOTHESES, images, tmp_path / "run", CPU, name="hypotheses")
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_gpu_that_is_too_small_says_the_batch_that_fits(images, tmp_path, monkeypatch):

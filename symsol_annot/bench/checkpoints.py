@@ -174,7 +174,7 @@ def read_record(file: Path) -> TrainingRecord:
         raise WeightsError(f"{file}: {fault}")
     try:
         return _record(metadata, str(file))
-    except (KeyError, TypeError, ValueError, AttributeError, SettingsError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, SettingsError) as error:
         raise WeightsError(f"{file}: what it says of its training is damaged: {error}") from None
 
 

@@ -69,6 +69,17 @@ def backbone_precision(device: torch.device) -> Iterator[None]:
         yield
 
 
+@contextlib.contextmanager
+def full_precision(*, benchmark: bool = False) -> Iterator[None]:
+    """Run what is inside in float32 where it says float32: on a GPU convolutions would take TF32's 10 bits for it.
+
+    Args:
+        benchmark: whether each new shape's fastest convolution is found by trying, once.
+    """
+    with torch.backends.cudnn.flags(enabled=True, benchmark=benchmark, allow_tf32=False):
+        yield
+
+
 def free_bytes(device: torch.device) -> int:
     """Return how much memory of a device is free, as far as that can be told."""
     if device.type == "cuda":

@@ -11,7 +11,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from symsol_annot.bench.checkpoints import Checkpoint
-from symsol_annot.bench.devices import largest_that_fits
+from symsol_annot.bench.devices import full_precision, largest_that_fits
 from symsol_annot.bench.learners import all_hypotheses, embedded, probabilities
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
 from symsol_annot.bench.submission import write_classifier, write_hypotheses
@@ -55,13 +55,13 @@ def predict(
     """
     checkpoint.refuse_other_images(dataset)
     by, model = method or checkpoint.record.name, checkpoint.model.to(device)
-    if isinstance(model, HypothesisNetwork):
-        hypotheses = _all_hypotheses(model, dataset)
-        write_hypotheses(path, dataset, hypotheses, method=by)
-        return "hypotheses"
-    classify = _asked_about(model, dataset, device)
-    write_classifier(path, dataset, classify, method=by, level=level, batch_size=grid_size(level))
-    return "classifier"
+    with full_precision():
+        if isinstance(model, HypothesisNetwork):
+            write_hypotheses(path, dataset, _all_hypotheses(model, dataset), method=by)
+            return "hypotheses"
+        classify = _asked_about(model, dataset, device)
+        write_classifier(path, dataset, classify, method=by, level=level, batch_size=grid_size(level))
+        return "classifier"
 
 
 def _all_hypotheses(model: HypothesisNetwork, dataset: Dataset) -> npt.NDArray[np.float32]:

@@ -172,6 +172,7 @@ class ThesisTable:
             yield f"track: expected one of {', '.join(metrics)}, found {self.track!r}"
         elif self.metric not in metrics[self.track]:
             yield f"metric: expected one of {', '.join(metrics[self.track])}, found {self.metric!r}"
+        yield from (f"objects: {fault}" for fault in _faults_of_names(self.objects))
         for recipe, values in self.rows.items():
             if recipe not in builtin_recipes():
                 yield f"rows: there is no recipe {recipe!r} built in"

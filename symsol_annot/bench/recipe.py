@@ -225,7 +225,7 @@ def parse_recipe(text: str, source: str) -> RecipeFile:
     """
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # no TOML, numbers of thousands of digits, or nested as deep
         raise SettingsError(f"{source}: is no TOML: {error}") from None
     marked, objects = table.pop(_MARKED, {}), table.pop(_OBJECTS, {})
     groups = {_MARKED: marked, _OBJECTS: objects}

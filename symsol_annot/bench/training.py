@@ -3,7 +3,7 @@
 import importlib.util
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from symsol_annot.bench import checkpoints
 from symsol_annot.bench.checkpoints import Row, TrainingRecord
-from symsol_annot.bench.devices import choose_device, has_bfloat16, laid_out_for, largest_that_fits
+from symsol_annot.bench.devices import choose_device, full_precision, has_bfloat16, laid_out_for, largest_that_fits
 from symsol_annot.bench.first_stage import FirstStage
 from symsol_annot.bench.learners import learner_of
 from symsol_annot.bench.pretraining import best_network, trained_networks
@@ -83,7 +83,7 @@ def train(
     device = choose_device(options.device)
     record = _record(recipe, dataset, options, device, name)
     _check(recipe, dataset)
-    with held_folder(out), torch.backends.cudnn.flags(enabled=True, benchmark=device.type == "cuda"):
+    with held_folder(out), full_precision(benchmark=device.type == "cuda"):
         run = _Run(record, dataset, out, options, device)
         on_start(run.record, run.images_an_epoch)
         while not run.record.is_finished:
@@ -148,7 +148,7 @@ class _Run:
         last = self._scheduled_at(epoch + (steps - 1) / steps)
         row = {"epoch": epoch + 1, "loss": float(total) / steps, **_as_row(self.record.recipe, last)}
         row["images_per_second"] = round(images_done / (time.perf_counter() - start), 1)
-        self._refuse_nan(sum(float(t.float().abs().sum()) for t in self._model.state_dict().values()), epoch)
+        self._refuse_nan(sum(float(tensor.float().abs().sum()) for tensor in self._kept_tensors()), epoch)
         if self._validation_images:
             row |= self._learner.evaluate(*self._validation_images)
         row["seconds"] = round(time.perf_counter() - start, 2)
@@ -156,6 +156,11 @@ class _Run:
         self.record = replace(self.record, rows=(*self.record.rows, row))
         checkpoints.save(self._out, self.record, self._model, self._optimizer)
         self._publish()
+
+    def _kept_tensors(self) -> Iterator[Tensor]:
+        yield from self._model.state_dict().values()
+        for means in self._optimizer.state.values():
+            yield from means.values()
 
     def _publish(self) -> None:
         checkpoints.publish(self._out, self.record, self._model)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from symsol_annot.bench.checkpoints import TrainingRecord
 from symsol_annot.bench.metric_table import HIGHER, LOWER, METRICS
-from symsol_annot.canvas import new_figure, write_figure
+from symsol_annot.canvas import label_text, new_figure, write_figure
 
 _PANELS = {"errors": LOWER, "ratios": HIGHER}
 _LABELS = {"loss": "loss", "errors": "mean error (rad)", "ratios": "validation images"}
@@ -36,7 +36,7 @@ def plot_curve(path: Path, record: TrainingRecord) -> None:
         if title != "ratios":
             axes.set_yscale("log")
         axes.legend(fontsize=6)
-    figure.suptitle(f"{record.object}: {record.recipe.title}; dotted: the learning rate drops", fontsize=8)
+    figure.suptitle(f"{record.object}: {label_text(record.recipe.title)}; dotted: the learning rate drops", fontsize=8)
     write_figure(figure, path)
 
 
