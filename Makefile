@@ -1,6 +1,7 @@
 PYTHON ?= python3.11
 VENV ?= .venv
 BIN := $(VENV)/bin
+TEST_WORKERS ?= 2
 
 # The editable install links the files it finds, so it is made again when a file is added or removed.
 SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
@@ -18,7 +19,7 @@ demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of t
 	@$(BIN)/symsol-annot plot images data/tetX
 
 test: lint  ## every check, with all its set-up: what CI runs
-	$(BIN)/pytest
+	$(BIN)/pytest -n $(TEST_WORKERS) --dist loadfile
 
 check: test
 

@@ -22,8 +22,8 @@ from symsol_annot.symsol_zip import OBJECTS
 def import_symsol(path: Path, out: Path, objects: tuple[str, ...], workers: int | None) -> None:
     """Import the zip of the original SYMSOL: its images, rotations and symmetry sets.
 
-    Each object becomes a set, OUT/OBJECT, once it is whole; one that is there already, whole, stays. What the source does
-    not say stays unknown: camera, segmentation, the convention of its rotations, and the sets of tetX, cylO and
+    Each object becomes a set, OUT/OBJECT, once it is whole; one that is there already, whole, stays. What the source
+    does not say stays unknown: camera, segmentation, the convention of its rotations, and the sets of tetX, cylO and
     sphereX.
     """
     with progress_bar(None, "image") as bar:

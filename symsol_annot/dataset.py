@@ -1,4 +1,4 @@
-"""Loading a set: shards as samples, with numpy and h5py alone.
+"""Loading a set: shards as samples, without Blender or torch.
 
 test = symsol_annot.load("data/cylO", split="test")
 sample = test[0]
@@ -113,6 +113,12 @@ class Dataset(Closing, Sequence[Sample]):
     def object(self) -> str:
         """The object's name."""
         return str(self.manifest.recipe["object"])
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of every image, in pixels."""
+        camera = self.manifest.recipe["camera"]
+        return camera["width"], camera["height"]
 
     @property
     def is_annotated(self) -> bool:

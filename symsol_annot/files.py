@@ -35,17 +35,16 @@ def replaced(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def new_folder(path: Path, writer: str = "") -> Iterator[Path]:
+def new_folder(path: Path) -> Iterator[Path]:
     """Give an empty folder beside a name, which it gets once it is whole; at an error or Ctrl-C it goes.
 
     Args:
-        path: where nothing is, or an empty folder.
-        writer: tells apart those who may write this folder at the same time, where none of them holds a lock.
+        path: where nothing is, or an empty folder; nobody else writes it meanwhile.
 
     Raises:
         OutputError: the disk is full or the folder around it not writable, or something was put there meanwhile.
     """
-    partial = _beside(path, f"{writer}{PARTIAL_SUFFIX}")
+    partial = _beside(path, PARTIAL_SUFFIX)
     with output_errors(path):
         if partial.exists():  # a killed run left it
             shutil.rmtree(partial)
@@ -61,18 +60,21 @@ def new_folder(path: Path, writer: str = "") -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def replaced_folder(path: Path, writer: str = "") -> Iterator[Path]:
+def replaced_folder(path: Path) -> Iterator[Path]:
     """Give the same beside a folder that may hold something, which is removed once the new one is whole."""
-    before = _beside(path, f"{writer}.before")
+    before = _beside(path, ".before")
+    with output_errors(path):
+        _bring_back(before, path)  # where a run was killed between two names
     try:
-        with new_folder(path, writer) as partial:
+        with new_folder(path) as partial:
             yield partial
             if path.exists():
                 path.rename(before)
-    finally:
-        if before.exists() and not path.exists():
-            before.rename(path)
-        shutil.rmtree(before, ignore_errors=True)
+    except BaseException:
+        with output_errors(path):
+            _bring_back(before, path)
+        raise
+    shutil.rmtree(before, ignore_errors=True)
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -146,7 +148,7 @@ def output_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         advice = {
-            errno.ENOSPC: "the disk is full: make room, then run the same command again; finished shards are kept",
+            errno.ENOSPC: "the disk is full: make room, then run the same command again",
             errno.EDQUOT: "the disk quota is used up: make room, then run the same command again",
             errno.EACCES: "no write permission: choose another folder with --out, or change its permissions",
             errno.EPERM: "no write permission: choose another folder with --out, or change its permissions",
@@ -159,6 +161,18 @@ def output_errors(path: Path) -> Iterator[None]:
 
 def _beside(path: Path, suffix: str) -> Path:
     return path.with_name(f".{path.name}{suffix}")
+
+
+def _bring_back(before: Path, path: Path) -> None:
+    """Give a folder that was moved away its name again, or remove it where the new one has come."""
+    if not before.exists():
+        return
+    if path.exists() and any(path.iterdir()):
+        shutil.rmtree(before, ignore_errors=True)
+        return
+    if path.exists():
+        path.rmdir()
+    before.rename(path)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -8,6 +8,7 @@ import hashlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -43,7 +44,7 @@ class ImportedSet:
         members: |G|, the size of each symmetry set; None where the source gives none.
         off_so3: how far the source's rotations are from rotations at most; the nearest ones are stored.
         off_sets_rad: how far a listed rotation is from the member R g that stands for it, at most, in rad.
-        was_there: whether the folder held it already, so that nothing was read or written.
+        was_there: whether the folder held it already, whole, so that nothing was written.
     """
 
     folder: Path
@@ -65,7 +66,8 @@ def import_symsol(
 ) -> Iterator[ImportedSet]:
     """Import objects of the original SYMSOL one after the other; each appears in the folder once it is whole.
 
-    Objects that are there already, from the same zip, are left as they are. The bytes do not depend on `workers`.
+    Objects that are there already, from the same zip, are left as they are, unless a shard is missing or damaged: then
+    the object's shards are made again, to the same bytes with the same software. The bytes do not depend on `workers`.
 
     Args:
         path: the zip.
@@ -91,12 +93,13 @@ def import_symsol(
             importer = _Importer(source, name, sha256)
             folder, manifest = out / name, importer.manifest
             members = len(importer.listed.group) if manifest.recipe["annotate"] != "none" else None
-            if _is_there(folder, manifest):
-                yield ImportedSet(folder, read_manifest(folder), members, was_there=True)
+            there = _manifest_there(folder, manifest)
+            if there and _is_whole(folder, there):
+                yield ImportedSet(folder, there, members, was_there=True)
                 continue
             on_begin(manifest)
-            with new_folder(folder) as partial:
-                made = importer.write(partial, workers, on_images)
+            with nullcontext(folder) if there else new_folder(folder) as place:  # there, shard after shard is replaced
+                made = importer.write(place, workers, on_images)
             yield ImportedSet(folder, made, members, importer.off_so3, importer.off_sets_rad)
 
 
@@ -239,17 +242,25 @@ def _keep(
     )
 
 
-def _is_there(folder: Path, planned: Manifest) -> bool:
-    """Tell whether a folder holds a set already; refuse another one, or anything else."""
+def _manifest_there(folder: Path, planned: Manifest) -> Manifest | None:
+    """Return the manifest of a set that a folder holds already; refuse another one, or anything else."""
     if (folder / MANIFEST_NAME).exists():
-        differences = planned.differences(read_manifest(folder))
+        there = read_manifest(folder)
+        differences = planned.differences(there)
         if differences:
             raise DifferentSetError(str(folder), differences)
-        return True
+        return there
     with output_errors(folder):
         if folder.exists() and any(folder.iterdir()):
             raise DifferentSetError(str(folder), [f"it holds files, and no {MANIFEST_NAME}"])
-    return False
+    return None
+
+
+def _is_whole(folder: Path, manifest: Manifest) -> bool:
+    try:
+        return all(file_sha256(folder / entry.file) == entry.sha256 for entry in manifest.shards)
+    except OSError:
+        return False
 
 
 def _versions() -> dict[str, str]:

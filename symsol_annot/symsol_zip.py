@@ -25,6 +25,7 @@ import numpy.typing as npt
 from symsol_annot.closing import Closing
 from symsol_annot.errors import DataError, bulleted
 from symsol_annot.manifest import SPLITS
+from symsol_annot.png import PNG_SIGNATURE
 from symsol_annot.scene import SIZE_RANGE
 
 OBJECTS = ("tet", "cube", "icosa", "cone", "cyl", "tetX", "cylO", "sphereX")
@@ -34,7 +35,7 @@ _MAX_PNG_BYTES = 2**25
 _MAX_TABLE_BYTES = 2**34  # SYMSOL's would be 4 GB in float64; a bomb of zeros is through in a minute
 _MAX_HEADER_BYTES = 10_000  # of an npy file; beyond, Python's parser may take long
 _DTYPES = ("<f4", "<f8")
-_PNG_START = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
+_PNG_START = PNG_SIGNATURE + b"\0\0\0\rIHDR"
 _MODES = ("RGB", "RGBA")
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 1  # flag
@@ -108,7 +109,8 @@ class SymsolZip(Closing):
         self.path = path
         self._lock = Lock()  # a zip is opened at one place at a time
         if not path.is_file():
-            raise DataError(f"{path}: no such file; expected the zip of the original SYMSOL, symsol_dataset.zip")
+            found = "is no regular file" if path.exists() else "no such file"
+            raise DataError(f"{path}: {found}; expected the zip of the original SYMSOL, symsol_dataset.zip")
         with ExitStack() as stack:
             with _as_data_error(f"{path}: cannot be read as a zip"):
                 self._zip = stack.enter_context(zipfile.ZipFile(path))

@@ -24,7 +24,18 @@ OPTIONS = (
     "--window-size=1300,900",
 )
 WAIT_S = 60
-UP_DOWN = {"ArrowUp": "\ue013", "ArrowDown": "\ue015", "ArrowLeft": "\ue012", "ArrowRight": "\ue014", "End": "\ue010"}
+KEYS = {
+    "Enter": "\ue007",
+    "Escape": "\ue00c",
+    "PageUp": "\ue00e",
+    "PageDown": "\ue00f",
+    "End": "\ue010",
+    "Home": "\ue011",
+    "ArrowLeft": "\ue012",
+    "ArrowUp": "\ue013",
+    "ArrowRight": "\ue014",
+    "ArrowDown": "\ue015",
+}
 
 
 @contextlib.contextmanager
@@ -76,8 +87,18 @@ class Page:
     def count(self):
         return int(self.text("count").split()[0].replace(",", ""))
 
-    def press(self, key):
-        self.driver.switch_to.active_element.send_keys(key)
+    def press(self, *keys):
+        """Press keys by their names, or type characters."""
+        self.driver.switch_to.active_element.send_keys(*(KEYS.get(key, key) for key in keys))
+
+    def position(self):
+        """Of the image chosen, in the order shown."""
+        return int(self.run("document.querySelector('[aria-selected=true]').dataset.position"))
+
+    def camera(self):
+        """From where the ball is seen, once it is drawn."""
+        eye = "document.getElementById('ball')._fullLayout?.scene?._scene?.getCamera().eye"
+        return self.wait_for(f"(({{x, y, z}}) => [x, y, z])({eye} || {{}}).every(Number.isFinite) && {eye}")
 
     def focused(self):
         return self.run("document.activeElement.id")

@@ -98,6 +98,13 @@ def test_load_is_public_and_gives_the_test_split_by_default(tetX_set):
     assert repr(dataset) == f"<tetX test: 40 images in {tetX_set}>"
 
 
+def test_image_size_is_width_and_height(tetX_set):
+    dataset = load(tetX_set)
+    assert dataset.image_size == dataset[0].image.shape[1::-1]
+    dataset.manifest.recipe["camera"]["width"] = 640
+    assert dataset.image_size == (640, dataset[0].image.shape[0])
+
+
 def test_order_of_access_does_not_matter(tetX_set):
     dataset, expected = load(tetX_set), expected_samples(tetX_set)
     order = list(range(TEST_IMAGES)) * 2

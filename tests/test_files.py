@@ -42,6 +42,14 @@ def test_a_file_that_was_not_finished_is_as_it_was(tmp_path, stop, seen):
     assert everything(tmp_path) == {"file": b"before"}
 
 
+def test_a_full_disk_is_said_in_words_that_hold_for_any_file(tmp_path):
+    with pytest.raises(OutputError) as refused:
+        write_half(replaced, tmp_path / "plot.png", FULL)
+    path = tmp_path / "plot.png"
+    advice = "the disk is full: make room, then run the same command again"
+    assert str(refused.value) == f"{path}: cannot be written: {advice}"
+
+
 def test_a_file_that_cannot_take_its_name_leaves_nothing(tmp_path):
     (tmp_path / "name").mkdir()
     with pytest.raises(OutputError, match="name: cannot be written"):
@@ -90,7 +98,7 @@ def test_a_new_folder_does_not_take_the_place_of_what_was_put_there_meanwhile(tm
 def test_a_folder_is_replaced_with_all_that_it_held(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "old").write_bytes(b"before")
-    with replaced_folder(tmp_path / "folder", writer=".1") as partial:
+    with replaced_folder(tmp_path / "folder") as partial:
         (partial / "new").write_bytes(b"after")
         assert everything(tmp_path / "folder") == {"old": b"before"}
     assert everything(tmp_path) == {"folder/new": b"after"}
@@ -123,3 +131,19 @@ def test_what_a_killed_writer_left_is_swept_up(tmp_path, manager):
     with manager(tmp_path / "folder") as partial:
         (partial / "other").write_bytes(b"whole")
     assert everything(tmp_path) == {"folder/other": b"whole"}
+
+
+@pytest.mark.parametrize("there", ["nothing", "an empty folder", "the next one"])
+def test_a_folder_that_a_killed_writer_moved_away_comes_back_where_no_other_came(tmp_path, there):
+    path, before = tmp_path / "folder", tmp_path / ".folder.before"
+    before.mkdir()
+    (before / "old").write_bytes(b"before")
+    if there != "nothing":
+        path.mkdir()
+    if there == "the next one":
+        (path / "new").write_bytes(b"after")
+    with pytest.raises(KeyboardInterrupt):
+        write_half(replaced_folder, path, KeyboardInterrupt())
+    kept = {"folder/new": b"after"} if there == "the next one" else {"folder/old": b"before"}
+    assert everything(tmp_path) == kept
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]

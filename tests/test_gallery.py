@@ -1,42 +1,47 @@
 """Galleries as files: pictures, columns and points are the set's and the scorer's; whole or not at all."""
 
 import base64
+import errno
 import json
 import re
+import shutil
 import sys
 from functools import partial
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 import symsol_source
 from bench_sets import SIZE, DiscRenderer, small_set
-from conftest import make_set
+from conftest import make_plan, make_set, threads
 from numpy_renderer import NumpyRenderer
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from symsol_annot_cli.main import main
 
-from symsol_annot import load
+from symsol_annot import extras, load
 from symsol_annot.bench import predicted
 from symsol_annot.bench.scoring import score_file
 from symsol_annot.bench.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.errors import (
     DataError,
+    MissingExtraError,
     NotAnnotatedError,
     OutputError,
     PredictionsError,
     RendererCrashedError,
     RendererMissingError,
     ScoresError,
-    SymsolError,
 )
-from symsol_annot.gallery import writing as gallery_writing
 from symsol_annot.gallery.redrawn import Redrawer
 from symsol_annot.gallery.runs import read_runs
 from symsol_annot.gallery.sources import folder_name, open_sources
 from symsol_annot.gallery.writing import write_gallery
+from symsol_annot.generate import generate
 from symsol_annot.grid import equivolumetric_grid
+from symsol_annot.locks import locked
+from symsol_annot.objects import load_object
 from symsol_annot.so3 import uniform_rotations
 from symsol_annot.symsol_import import import_symsol
 
@@ -126,6 +131,16 @@ def run_of(index, track, name="tetX"):
 def test_a_gallery_shows_every_split_that_was_asked_for_and_is_there(index):
     found = [(one["object"], one["split"], one["images"]) for one in index["sets"]]
     assert found == [("cylO", "test", 6), ("tetX", "train", 3), ("tetX", "test", 104)]
+
+
+@pytest.mark.parametrize(("here", "given"), [(".", "tetX"), ("tetX", "."), ("..", "data/tetX")])
+def test_a_set_is_found_again_under_the_folder_that_was_given(monkeypatch, data, tmp_path, here, given):
+    monkeypatch.chdir(data / here)
+    write_gallery(tmp_path / "out", open_sources(Path(given)))
+    _, index = documents(tmp_path / "out" / "data" / "index.js")
+    (place,) = (one["place"] for one in index["sets"])
+    assert place == given
+    assert len(load(place)) == 104
 
 
 def test_pictures_are_the_sets_pixel_for_pixel(gallery, index, data):
@@ -256,8 +271,10 @@ def test_members_draw_the_image_and_rejected_candidates_another(gallery, index):
             for drawing in side:
                 assert drawing["differing_px"] <= 2 if drawing["is_member"] else True
                 assert (gallery / about["folder"] / drawing["file"]).is_file()
-    shown = [i for i in drawings if array(about["stratum"])[int(i)] >= 2]
-    assert all(d["differing_px"] for i in shown for d in drawings[i] if not d["is_member"] and d["angle_deg"] > 20)
+        shown = [i for i in drawings if array(about["stratum"])[int(i)] >= 2]
+        far = [d for i in shown for d in drawings[i] if not d["is_member"] and d["angle_deg"] > 20]
+        assert far
+        assert all(drawing["differing_px"] for drawing in far)
 
 
 def test_candidates_go_from_near_to_far_and_members_come_first(data):
@@ -315,6 +332,40 @@ def test_a_set_of_an_unknown_or_changed_object_is_shown_without_drawing(data, tm
         assert redrawer.images == ()
 
 
+@pytest.fixture(scope="module")
+def mugs(tmp_path_factory):
+    """Two objects of one name, neither of them built in, and a set of the first; all of them draw like tetX."""
+    place = tmp_path_factory.mktemp("mugs")
+    for folder, title in (("mug", "a mug"), ("other", "another mug")):
+        shutil.copytree(load_object("tetX").folder, place / folder)
+        text = (place / folder / "object.toml").read_text()
+        text = text.replace('name = "tetX"', 'name = "mug"').replace("regular tetrahedron", title)
+        (place / folder / "object.toml").write_text(text)
+    generate(
+        make_plan(str(place / "mug"), test=3, size=SIZE), place / "set", threads(partial(NumpyRenderer, "tetX", SIZE))
+    )
+    return place
+
+
+def test_an_object_that_is_not_built_in_is_drawn_by_what_was_given_if_it_is_the_same(mugs):
+    source, drawn = open_sources(mugs / "set")[0], []
+
+    def open_renderer(spec, camera, settings):
+        drawn.append(spec.digest)
+        return NumpyRenderer("tetX", camera.width)
+
+    mug, other = (load_object(str(mugs / name)) for name in ("mug", "other"))
+    redrawer = Redrawer(source, [], 2, given=mug, open_renderer=open_renderer)
+    assert (redrawer.missing, redrawer.images) == ("", (0, 2))
+    assert drawn == [mug.digest]
+    assert all(drawing.differing_px == 0 for drawing in redrawer.draw(source.dataset[0]) if drawing.is_member)
+    for given, reason in ((None, "is not built in"), (other, "was made from another mug")):
+        redrawer = Redrawer(source, [], 2, given=given, open_renderer=open_renderer)
+        assert reason in redrawer.missing
+        assert redrawer.images == ()
+    assert drawn == [mug.digest]
+
+
 def test_an_imported_set_has_no_segmentation_and_is_not_drawn_again(tmp_path):
     files, _ = symsol_source.content(("tet",))
     symsol_source.write_zip(tmp_path / "symsol.zip", files)
@@ -348,7 +399,7 @@ def test_blender_draws_members_as_it_drew_the_image(tmp_path):
 def test_a_gallery_is_replaced_by_the_next_and_nothing_lies_beside_it(data, tmp_path):
     out = tmp_path / "gallery"
     write_gallery(out, open_sources(data))
-    (out / "sets" / "stale").mkdir()
+    (out / "sets" / "07-stale-test").mkdir()
     write_gallery(out, open_sources(data / "tetX"))
     assert [path.name for path in tmp_path.iterdir()] == ["gallery"]
     assert [path.name for path in (out / "sets").iterdir()] == ["00-tetX-test"]
@@ -369,13 +420,104 @@ def test_a_gallery_that_fails_leaves_the_old_one_as_it_was(data, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["gallery"]
 
 
+def everything(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("stop", "seen"), [(OSError(errno.EIO, "the disk is gone"), OutputError), (KeyboardInterrupt(), KeyboardInterrupt)]
+)
+@pytest.mark.parametrize("moved", ["gallery", ".gallery.partial"])
+def test_a_gallery_that_cannot_take_its_name_brings_back_the_old_one(data, tmp_path, monkeypatch, moved, stop, seen):
+    out, rename = tmp_path / "gallery", Path.rename
+    write_gallery(out, open_sources(data / "tetX"))
+    before = everything(out)
+
+    def stopped(path, target):
+        if path.name == moved:
+            raise stop
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", stopped)
+    with pytest.raises(seen):
+        write_gallery(out, open_sources(data / "cylO"))
+    assert everything(out) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["gallery"]
+
+
+def test_what_a_killed_run_left_is_swept_up(data, tmp_path):
+    out = tmp_path / "gallery"
+    for left in (".gallery.partial", ".gallery.before"):
+        (tmp_path / left / "sets" / "00-tetX-test" / "00000").mkdir(parents=True)
+        (tmp_path / left / "index.html").write_text("half")
+    write_gallery(out, open_sources(data / "tetX"))
+    assert [path.name for path in tmp_path.iterdir()] == ["gallery"]
+    assert (out / "data" / "index.js").is_file()
+
+
+def test_a_folder_that_another_process_writes_is_left_to_it(data, tmp_path):
+    out = tmp_path / "gallery"
+    out.mkdir()
+    with locked(out), pytest.raises(OutputError, match=r"another process .*is writing there right now"):
+        write_gallery(out, open_sources(data / "tetX"))
+    assert list(out.iterdir()) == []
+
+
+@pytest.mark.parametrize("target", ["there", "not there"])
+def test_behind_a_link_the_folder_is_written_that_it_leads_to(data, tmp_path, target):
+    link, out = tmp_path / "link", tmp_path / "elsewhere" / "gallery"
+    if target == "there":
+        write_gallery(out, open_sources(data / "cylO"))
+    link.symlink_to(out)
+    write_gallery(link, open_sources(data / "tetX"))
+    assert link.is_symlink()
+    assert [path.name for path in (out / "sets").iterdir()] == ["00-tetX-test"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["elsewhere", "link"]
+    assert [path.name for path in out.parent.iterdir()] == ["gallery"]
+
+
 def test_a_folder_that_holds_something_else_is_not_touched(data, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(OutputError, match="no gallery"):
+    with pytest.raises(OutputError, match=r"no part of a gallery: thesis\.tex\. Nothing was touched"):
         write_gallery(tmp_path, open_sources(data))
     with pytest.raises(OutputError, match="is a file"):
         write_gallery(tmp_path / "thesis.tex", open_sources(data))
-    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+    assert everything(tmp_path) == {"thesis.tex": b"years of work"}
+
+
+@pytest.mark.parametrize("index", ["export default {}", "SYMSOL.deliver('index', {})", ""])
+def test_a_project_of_somebodys_is_not_taken_for_a_gallery(data, tmp_path, index):
+    for name, text in {"data/index.js": index, "index.html": "<h1>mine</h1>", "thesis.tex": "years of work"}.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+        before = everything(tmp_path)
+        with pytest.raises(OutputError, match="no part of a gallery"):
+            write_gallery(tmp_path, open_sources(data / "tetX"))
+        assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["notes.md", "data/notes.md", "sets/00-cylO-test/00000/notes.md", ".git/config", "assets/mine/a.js", "mine/"],
+)
+def test_what_somebody_put_into_a_gallery_is_not_removed(gallery, data, tmp_path, name):
+    out = shutil.copytree(gallery, tmp_path / "gallery")
+    (out / name).parent.mkdir(exist_ok=True)
+    if name.endswith("/"):
+        (out / name).mkdir()
+    else:
+        (out / name).write_text("mine")
+    before = everything(out)
+    with pytest.raises(OutputError, match=re.escape(name)):
+        write_gallery(out, open_sources(data / "tetX"))
+    assert (out / name).exists()
+    assert everything(out) == before
+
+
+def test_all_that_a_gallery_holds_is_known_as_its_own(gallery, data, tmp_path):
+    out = shutil.copytree(gallery, tmp_path / "gallery")  # with runs, and with candidates drawn again
+    write_gallery(out, open_sources(data / "cylO"))
+    assert [path.name for path in (out / "sets").iterdir()] == ["00-cylO-test"]
 
 
 def test_equal_sets_give_equal_bytes(data, preds, tmp_path):
@@ -418,8 +560,8 @@ def test_a_split_without_sets_is_refused(tetX_set):
 
 
 def test_without_plotly_the_message_names_the_extra(monkeypatch, data, tmp_path):
-    monkeypatch.setattr(gallery_writing, "find_spec", lambda name: None)
-    with pytest.raises(SymsolError, match=re.escape("pip install 'symsol-annot[gallery]'")):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=re.escape("pip install 'symsol-annot[gallery]'")):
         write_gallery(tmp_path / "out", open_sources(data))
     assert not (tmp_path / "out").exists()
 
@@ -427,13 +569,20 @@ def test_without_plotly_the_message_names_the_extra(monkeypatch, data, tmp_path)
 # --- the command ---
 
 
-def test_the_command_writes_the_folder_and_says_where(monkeypatch, capfd, data, preds, tmp_path):
-    def call(*words):
+@pytest.fixture
+def call(monkeypatch, capfd):
+    """The command's entry point in this process: exit status, output, messages."""
+
+    def run(*words):
         monkeypatch.setattr(sys, "argv", ["symsol-annot", "gallery", *(str(word) for word in words)])
         with pytest.raises(SystemExit) as ended:
             main()
         return ended.value.code, *capfd.readouterr()
 
+    return run
+
+
+def test_the_command_writes_the_folder_and_says_where(call, data, preds, tmp_path):
     out = tmp_path / "page"
     words = (data, "--predictions", preds["tetX"], "--redrawn", "0", "--out", out)
     assert call(*words) == (0, f"{out / 'index.html'}: 110 images, 3 runs\n", "")
@@ -442,3 +591,14 @@ def test_the_command_writes_the_folder_and_says_where(monkeypatch, capfd, data, 
     code, _, message = call(data, "--predictions", tmp_path / "none.h5", "--out", out)
     assert (code, message.count("Error:")) == (1, 1)
     assert call(data, "--split", "validation")[0] == 2
+
+
+@pytest.mark.parametrize(("name", "reason"), [("mug", ""), ("other", "was made from another mug")])
+def test_the_command_draws_with_the_object_that_it_is_given(monkeypatch, call, mugs, tmp_path, name, reason):
+    drawn_by_numpy = partial(Redrawer, open_renderer=lambda spec, camera, settings: NumpyRenderer("tetX", camera.width))
+    monkeypatch.setattr("symsol_annot_cli.gallery.Redrawer", drawn_by_numpy)
+    assert call(mugs / "set", "--object", mugs / name, "--out", tmp_path / "page")[0] == 0
+    _, index = documents(tmp_path / "page" / "data" / "index.js")
+    redrawn = index["sets"][0]["redrawn"]
+    assert redrawn["images"] == ([] if reason else [0, 1, 2])
+    assert reason in redrawn["missing"]

@@ -2,15 +2,17 @@
 
 import json
 import shutil
+import time
 
 import numpy as np
 import pytest
 from bench_sets import SIZE, small_set
 from conftest import make_set
-from gallery_browser import CHROMIUM, DRIVER, UP_DOWN, Page, chromium
+from gallery_browser import CHROMIUM, DRIVER, Page, chromium
 from numpy_renderer import NumpyRenderer
 from scipy.spatial.transform import Rotation
 
+import symsol_annot
 from symsol_annot import load
 from symsol_annot.bench import truth as truth_module
 from symsol_annot.bench.scoring import score_file
@@ -29,7 +31,6 @@ BARELY_PX = 3000  # scaled to this size 15 px, and tetX shows its marking with 5
 
 HOSTILE = "<img src=x onerror=\"document.body.dataset.broken='yes'\"><script>alert(1)</script>\u00e9 'mine'"
 IMAGES = 150
-ENTER, ESCAPE, HOME = "\ue007", "\ue00c", "\ue011"
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def barely_exists():
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory, barely_exists):
-    folder = tmp_path_factory.mktemp("place") / "data"
+    folder = tmp_path_factory.mktemp("place") / 'my "data"\\new'
     make_set(folder, train=4, test=IMAGES, size=SIZE, annotate="all")
     small_set(folder, "cylO", 3)
     return folder
@@ -92,6 +93,22 @@ def test_it_loads_without_an_error_and_asks_the_network_for_nothing(page, browse
     assert "Network.webSocketCreated" not in {e["method"] for e in events}
 
 
+ASKS = {
+    "connect-src": "fetch('http://127.0.0.1:1').catch(() => {})",
+    "img-src": "new Image().src = 'http://127.0.0.1:1/x'",
+}
+
+
+@pytest.mark.parametrize(("directive", "ask"), ASKS.items(), ids=ASKS)
+def test_the_network_is_refused_by_the_pages_policy(page, directive, ask):
+    page.open()
+    refused = (
+        "new Promise((resolve) => { setTimeout(resolve, 5000, 'nothing'); document.addEventListener("
+        f"'securitypolicyviolation', (event) => resolve(event.effectiveDirective)); {ask}; }})"
+    )
+    assert page.run(refused) == directive
+
+
 def test_filters_leave_as_many_images_as_the_library_counts(page, data, preds):
     truth = score_file(preds, data).truth
     page.open(object="tetX", split="test")
@@ -130,8 +147,24 @@ def test_worst_first_is_worst_first_by_the_scorer_and_undefined_last(page, data,
     page.set("order", "best:recall_mean_error_rad")
     assert page.options()[0] == f"tetX {np.argmin(scores['recall_mean_error_rad'])}"
     page.run("document.getElementById('window').focus()")
-    page.press(UP_DOWN["End"])
+    page.press("End")
     assert page.options()[-7:] == ["cylO 0", "cylO 1", "cylO 2", "tetX 0", "tetX 1", "tetX 2", "tetX 3"]
+
+
+def test_orders_by_the_set_and_by_the_marking_are_numpys(page, data):
+    labels = load(data / "tetX").labels()
+    sizes = labels.symmetry_mask.sum(axis=1)
+    marking_px = np.where(labels.marking_visible, labels.marking_pixels, np.nan)
+    page.open(object="tetX", split="test", run="")
+    for order, column in (("largest", -sizes), ("smallest", sizes), ("least-marking", marking_px)):
+        page.set("order", order)
+        expected = [f"tetX {i}" for i in np.argsort(column, kind="stable")]  # NaN comes last
+        shown = page.options()
+        assert len(shown) > 20
+        assert shown == expected[: len(shown)]
+        page.run("document.getElementById('window').focus()")
+        page.press("End")
+        assert page.options()[-10:] == expected[-10:]
 
 
 def test_scores_shown_of_an_image_are_the_scorers(page, data, preds):
@@ -195,32 +228,76 @@ def test_the_tilt_is_what_is_left_when_the_axis_is_turned_back(page):
 def test_the_keyboard_goes_everywhere(page):
     page.open(object="tetX", split="test", run="", order="files")
     page.run("document.getElementById('window').focus()")
-    page.press(UP_DOWN["ArrowRight"])
+    page.press("ArrowRight")
     page.title("tetX · test 1")
     active = page.run("document.getElementById('window').getAttribute('aria-activedescendant')")
     assert page.run("document.getElementById(arguments[0]).getAttribute('aria-selected')", active) == "true"
-    page.press(UP_DOWN["ArrowDown"])
-    below = int(page.run("document.querySelector('[aria-selected=true]').dataset.position"))
-    assert below > 2
-    page.press(UP_DOWN["ArrowUp"] + UP_DOWN["ArrowLeft"])
+    page.press("ArrowDown")
+    assert page.position() > 2
+    page.press("ArrowUp", "ArrowLeft")
     page.title("tetX · test 0")
-    page.press(UP_DOWN["End"])
+    page.press("End")
     page.title(f"tetX · test {IMAGES - 1}")
-    page.press(ENTER)
+    page.press("Home")
+    page.title("tetX · test 0")
+    page.press("End", "Enter")
     assert page.focused() == "detail-title"
-    page.press(UP_DOWN["ArrowLeft"])
+    page.press("ArrowLeft")
     page.title(f"tetX · test {IMAGES - 2}")
-    page.press(ESCAPE)
+    page.press("Escape")
     assert page.focused() == "window"
     page.press("/")
     assert page.focused() == "find"
     page.press("12/")  # in a field it is a letter
     assert page.run("document.getElementById('find').value") == "12/"
-    page.press(ESCAPE)
+    page.press("Escape")
     page.press("?")
     assert page.run("document.getElementById('keys').open")
-    page.press(ESCAPE)
+    page.press("Escape")
     assert not page.run("document.getElementById('keys').open")
+
+
+def test_the_page_keys_go_by_as_many_rows_as_are_seen(page):
+    page.open(object="tetX", split="test", run="", order="files")
+    page.run("document.getElementById('window').focus()")
+    page.press("ArrowDown")
+    columns = page.position()
+    tops = "['0', arguments[0]].map((i) => document.getElementById(`option-${i}`).getBoundingClientRect().top)"
+    first, second = page.run(tops, str(columns))
+    seen = columns * int(page.run("document.getElementById('window').clientHeight") // (second - first))
+    assert columns < seen < IMAGES / 2
+    page.press("ArrowUp")
+    positions = []
+    for key in ("PageDown", "PageDown", "PageUp", "PageUp", "PageUp"):
+        page.press(key)
+        positions.append(page.position())
+    assert positions == [seen, 2 * seen, seen, 0, 0]
+
+
+def test_the_ball_stands_still_where_less_motion_is_wanted_until_t_is_pressed(page):
+    page.open(image="2/0")
+    page.title("tetX · test 0")
+    assert page.run("matchMedia('(prefers-reduced-motion: reduce)').matches")
+    before = page.camera()
+    time.sleep(0.5)
+    assert page.camera() == before
+    assert page.text("turn") == "Turn"
+    page.press("t")
+    assert page.text("turn") == "Stop turning"
+    page.wait_for(
+        "document.getElementById('ball')._fullLayout.scene._scene.getCamera().eye.x !== arguments[0]", before["x"]
+    )
+    page.press("T")
+    assert page.text("turn") == "Turn"
+
+
+def test_what_the_page_gives_for_python_opens_the_image(page, data):
+    page.open(image="2/5")
+    page.title("tetX · test 5")
+    code = page.run("document.querySelector('#facts code').textContent")
+    sample = eval(code, {"symsol_annot": symsol_annot})
+    assert np.array_equal(sample.image, load(data / "tetX")[5].image)
+    assert sample.index == 5
 
 
 def test_a_hostile_method_stays_text(page):

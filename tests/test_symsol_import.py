@@ -425,7 +425,12 @@ def test_zips_that_are_packed_in_odd_ways_are_refused(tmp_path):
             imported(path, tmp_path / "sets")
     cut = tmp_path / "cut.zip"
     cut.write_bytes(data[: len(data) // 2])
-    for path, message in ((cut, "cannot be read as a zip"), (tmp_path / "none.zip", "no such file")):
+    others = (
+        (tmp_path / "none.zip", "no such file"),
+        (tmp_path, "is no regular file"),
+        (Path("/dev/null"), "is no reg"),
+    )
+    for path, message in ((cut, "cannot be read as a zip"), *others):
         with pytest.raises(DataError, match=message):
             imported(path, tmp_path / "sets")
     assert not (tmp_path / "sets").exists()
@@ -457,6 +462,38 @@ def test_what_a_killed_import_left_is_swept_up(source, tmp_path):
     imported(path, tmp_path / "sets", "tet")
     assert [there.name for there in (tmp_path / "sets").iterdir()] == ["tet"]
     assert verify(tmp_path / "sets" / "tet") == []
+
+
+def _flip(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+LOSSES = {
+    "missing": Path.unlink,
+    "cut off": lambda path: path.write_bytes(path.read_bytes()[:-1]),
+    "a bit flipped": _flip,
+    "a link to nowhere": lambda path: path.unlink() or path.symlink_to("nowhere"),
+}
+
+
+@pytest.mark.parametrize("lose", LOSSES.values(), ids=LOSSES)
+def test_an_import_that_lost_a_shard_is_made_again_by_the_same_command(source, here, tmp_path, lose):
+    path, _, made = source
+    words = ("import-symsol", path, "--out", tmp_path / "sets", "--object", "tet", "--object", "cone")
+    here(*words)
+    folder = tmp_path / "sets" / "tet"
+    (folder / "notes.txt").write_text("mine")
+    lose(folder / "test-00000-of-00001.h5")
+    assert verify(folder) != []
+    again = here(*words)
+    assert (again.returncode, again.stderr.count("Error")) == (0, 0)
+    assert [line.endswith("was there already") for line in again.stdout.splitlines()] == [False, True]
+    found = everything(folder)
+    assert found.pop("notes.txt") == b"mine"
+    assert found == everything(made["tet"].folder)
+    assert here(*words).stdout.count("was there already") == 2
 
 
 def test_another_set_is_not_overwritten(source, tmp_path):

@@ -111,13 +111,13 @@ class Checkpoint:
         Raises:
             ModelError: they are of another object or size.
         """
-        record, camera = self.record, dataset.manifest.recipe["camera"]
+        record = self.record
         if record.object != dataset.object:
             raise ModelError(
                 f"{self.path}: was trained on {record.object}, the set in {dataset.folder} is of {dataset.object}; "
                 "name another with --data"
             )
-        size = (camera["width"], camera["height"])
+        size = dataset.image_size
         if record.image_size != size:
             raise ModelError(
                 f"{self.path}: was trained on images of {'x'.join(map(str, record.image_size))} pixels, those in "

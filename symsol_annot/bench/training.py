@@ -216,7 +216,6 @@ class _Run:
 
 
 def _record(recipe: Recipe, dataset: Dataset, options: Options, device: torch.device, name: str) -> TrainingRecord:
-    camera = dataset.manifest.recipe["camera"]
     epochs = recipe.epochs if options.epochs is None else options.epochs
     if epochs < 1:
         raise SettingsError(f"epochs: expected 1 or more, found {epochs}")
@@ -224,7 +223,7 @@ def _record(recipe: Recipe, dataset: Dataset, options: Options, device: torch.de
         name=name,
         recipe=recipe,
         object=dataset.object,
-        image_size=(camera["width"], camera["height"]),
+        image_size=dataset.image_size,
         train_fingerprint=dataset.fingerprint,
         epochs=epochs,
         seed=options.seed,

@@ -5,6 +5,7 @@ stopped. An epoch's last images, if fewer than a batch, are left out: every step
 """
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, Protocol, TypeAlias
@@ -151,8 +152,7 @@ def training_data(
         DataError: a shard is damaged.
     """
     is_rejected = _rejected(dataset) if with_rejected else None
-    camera = dataset.manifest.recipe["camera"]
-    needed = len(dataset) * camera["width"] * camera["height"] * 3
+    needed = len(dataset) * math.prod(dataset.image_size) * 3
     is_free = needed <= _HOST_SHARE * free_bytes(torch.device("cpu"))
     if not is_free:
         return Streamed(dataset, batch_size, seed, device, min(cores(), _MAX_WORKERS), is_rejected)
@@ -167,8 +167,8 @@ def decoded(dataset: Dataset) -> Batch:
     Raises:
         DataError: an image is damaged.
     """
-    camera = dataset.manifest.recipe["camera"]
-    images = torch.empty((len(dataset), camera["height"], camera["width"], 3), dtype=torch.uint8)
+    width, height = dataset.image_size
+    images = torch.empty((len(dataset), height, width, 3), dtype=torch.uint8)
     R_gt = torch.empty((len(dataset), 3, 3))
 
     def read(rows: range) -> None:

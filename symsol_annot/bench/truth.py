@@ -1,5 +1,6 @@
 """What predictions are held against: a split's symmetry sets, and its strata."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -78,13 +79,12 @@ def truth_of(dataset: Dataset) -> Truth:
         NotAnnotatedError: it has no symmetry sets.
         DataError: a shard is damaged.
     """
-    camera = dataset.manifest.recipe["camera"]
     return Truth(
         dataset.object,
         dataset.split,
         dataset.fingerprint,
         dataset.has_marking,
-        camera["width"] * camera["height"],
+        math.prod(dataset.image_size),
         dataset.labels(),
     )
 

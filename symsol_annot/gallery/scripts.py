@@ -20,8 +20,17 @@ def write_script(path: Path, key: str, document: Document) -> None:
 
     JSON in ASCII is JavaScript whatever the strings in it say; the page puts them on the screen as text only.
     """
-    arguments = ",".join(json.dumps(part, separators=(",", ":"), allow_nan=False) for part in (key, document))
-    path.write_text(f"SYMSOL.deliver({arguments});\n", encoding="ascii")
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False)
+    path.write_text(f"{_opening(key)}{text});\n", encoding="ascii")
+
+
+def delivers(path: Path, key: str) -> bool:
+    """Tell whether a file is there that was written as a script for a key."""
+    if not path.is_file():
+        return False
+    opening = _opening(key).encode("ascii")
+    with path.open("rb") as file:
+        return file.read(len(opening)) == opening
 
 
 def packed(values: npt.ArrayLike, dtype: str) -> Document:
@@ -38,3 +47,7 @@ def packed(values: npt.ArrayLike, dtype: str) -> Document:
 def number(value: float) -> float | None:
     """Return a JSON number; null where it is undefined."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+def _opening(key: str) -> str:
+    return f"SYMSOL.deliver({json.dumps(key)},"

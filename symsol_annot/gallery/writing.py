@@ -8,22 +8,24 @@ sets/00-cylO-test/redrawn.js    which candidates were drawn again; their picture
 
 import contextlib
 import os
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import resources
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from symsol_annot import __version__
 from symsol_annot.bench.predicted import WHAT, Predicted
-from symsol_annot.errors import OutputError, SymsolError
-from symsol_annot.files import make_folder, output_errors, replaced_folder
+from symsol_annot.errors import OutputError, first_of
+from symsol_annot.extras import check_extra
+from symsol_annot.files import output_errors, replaced_folder
 from symsol_annot.gallery.redrawn import Drawing, Redrawer
 from symsol_annot.gallery.runs import Run
-from symsol_annot.gallery.scripts import Document, number, packed, write_script
+from symsol_annot.gallery.scripts import Document, delivers, number, packed, write_script
 from symsol_annot.gallery.sources import Source
+from symsol_annot.locks import held_folder
 from symsol_annot.plots import ID_COLOURS
 from symsol_annot.png import to_png
 from symsol_annot.so3 import rotation_to_quat_wxyz
@@ -31,18 +33,21 @@ from symsol_annot.so3 import rotation_to_quat_wxyz
 CHUNK_IMAGES = 100  # whose labels the page loads at once
 STRATUM_CODES = ("all", "hidden", "shown", "barely")  # "all" where there is no marking
 _INDEX = Path("data", "index.js")  # by which a gallery is known as one
+_INDEX_KEY = "index"
+_OWN_PATH = re.compile(  # of a gallery's files, and of its folders with a slash at the end
+    r"""index\.html
+    | assets/ ([a-z.]+\.(js|css))?
+    | data/ (index\.js)?
+    | sets/ (\d{2,}-[A-Za-z0-9._-]+/
+        ( redrawn\.js
+        | redrawn/ (\d{6,}-\d{4,}\.png)?
+        | \d{5,}/ (labels\.js | run-\d+\.js | (image|segmentation)-\d{6,}\.png)?
+        )?)?""",
+    re.VERBOSE,
+)
+_LISTED_NAMES = 5
 _PLOTLY = "plotly.min.js"
 _DRAWS_NONE = partial(Redrawer, count=0)
-
-
-def check_plotly() -> None:
-    """Raise where plotly, whose JavaScript the page draws with, is not installed.
-
-    Raises:
-        SymsolError: it is not.
-    """
-    if find_spec("plotly") is None:
-        raise SymsolError("the gallery needs plotly, which is not installed: `pip install 'symsol-annot[gallery]'`")
 
 
 def write_gallery(
@@ -55,23 +60,22 @@ def write_gallery(
     """Write a gallery into a folder, whole or not at all.
 
     Args:
-        out: the folder; a gallery that is there is replaced once the new one is whole, anything else is refused.
+        out: the folder, or a link to it; a gallery in it is replaced once the new one is whole, anything else refused.
         sources: what it shows.
         runs: predictions over them.
         open_redrawer: from a source and its runs to what draws candidates again.
         on_image: called after each image.
 
     Raises:
-        SymsolError: plotly is not installed.
-        OutputError: the folder holds something else, or cannot be written.
+        MissingExtraError: plotly, whose JavaScript the page draws with, is not installed.
+        OutputError: the folder holds something else, cannot be written, or another process is writing there.
         DataError: an image cannot be read.
         RenderError: Blender stopped.
     """
-    check_plotly()
-    out = out.absolute()
+    check_extra("gallery", "the gallery")
+    out = Path(os.path.realpath(out))
     _refuse_other_folder(out)
-    make_folder(out.parent)
-    with replaced_folder(out, writer=f".{os.getpid()}") as new:
+    with held_folder(out), replaced_folder(out) as new:
         redrawn = [
             _write_source(
                 new, source, [(n, run) for n, run in enumerate(runs) if run.source == k], open_redrawer, on_image
@@ -80,16 +84,25 @@ def write_gallery(
         ]
         _write_page(new)
         (new / _INDEX).parent.mkdir()
-        write_script(new / _INDEX, "index", _index(sources, runs, redrawn))
+        write_script(new / _INDEX, _INDEX_KEY, _index(sources, runs, redrawn))
 
 
 def _refuse_other_folder(out: Path) -> None:
-    """Refuse what is there and is no gallery, unless it is an empty folder."""
+    """Refuse a folder that holds anything but a gallery, for all of it is about to be removed."""
     with output_errors(out):
-        if out.exists() and not out.is_dir():
-            raise NotADirectoryError(20, "is a file")
-        if out.is_dir() and any(out.iterdir()) and not (out / _INDEX).is_file():
-            raise OutputError(f"{out}: holds something that is no gallery; nothing was touched. Choose another --out")
+        is_gallery = delivers(out / _INDEX, _INDEX_KEY)
+        there = (_relative(path, out) for path in out.glob("**/*" if is_gallery else "*"))
+        strangers = sorted(name for name in there if not (is_gallery and _OWN_PATH.fullmatch(name)))
+    if strangers:
+        raise OutputError(
+            f"{out}: holds what is no part of a gallery: {first_of(strangers, _LISTED_NAMES)}. Nothing was touched; "
+            "move it elsewhere, or choose another folder with --out"
+        )
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return a path within a folder, with a slash at the end where it is a folder itself and no link to one."""
+    return path.relative_to(folder).as_posix() + ("/" if path.is_dir() and not path.is_symlink() else "")
 
 
 def _write_page(folder: Path) -> None:
@@ -114,7 +127,7 @@ def _index(sources: Sequence[Source], runs: Sequence[Run], redrawn: Sequence[Doc
 
 def _describe(source: Source, redrawn: Document) -> Document:
     truth, shown = source.truth, len(source.dataset)
-    camera = source.dataset.manifest.recipe["camera"]
+    width, height = source.dataset.image_size
     codes = np.zeros(len(truth), dtype=np.uint8)
     for code, stratum in enumerate(STRATUM_CODES):
         if stratum in truth.strata:
@@ -125,12 +138,12 @@ def _describe(source: Source, redrawn: Document) -> Document:
         "object": truth.object,
         "split": truth.split,
         "folder": source.folder,
-        "place": source.dataset.folder.name,
+        "place": str(source.dataset.folder),
         "fingerprint": truth.fingerprint,
         "images": shown,
         "images_of_split": len(truth),
-        "width": camera["width"],
-        "height": camera["height"],
+        "width": width,
+        "height": height,
         "has_segmentation": not source.dataset.manifest.is_imported,
         "group_order": len(truth.labels.symmetry_group),
         "group": packed(rotation_to_quat_wxyz(truth.labels.symmetry_group), "f4"),

@@ -17,14 +17,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from gallery_browser import UP_DOWN, Page, chromium
+from gallery_browser import Page, chromium
 
 from symsol_annot import load
 from symsol_annot.bench.submission import write_hypotheses
 from symsol_annot.so3 import uniform_rotations
 
 HYPOTHESES = 30
-PAGE_DOWN = "\ue00f"
 FILTERS = (("marking", "hidden"), ("marking", ""), ("find", "shown 12"), ("find", ""), ("order", "smallest"))
 
 
@@ -59,22 +58,18 @@ def _used(driver, gallery, steps):
     found |= {"next_image_s": statistics.median(walked), "slowest_image_s": max(walked)}
     found["filter_s"] = {f"{field} {value}": _seconds(lambda: page.set(field, value)) for field, value in FILTERS}  # noqa: B023
     thumbnails, position = 0, -1
-    while (now := _position(page)) != position:  # page by page to the end
+    while (now := page.position()) != position:  # page by page to the end
         position, thumbnails = now, max(thumbnails, len(page.options()))
-        page.press(PAGE_DOWN * 10)
+        page.press(*["PageDown"] * 10)
     return found | {"last_position": position, "most_thumbnails": thumbnails, "at_the_end": _memory(driver)}
 
 
 def _step(page):
     """Go to the next image, until all of it is drawn."""
     before = page.text("detail-title")
-    page.press(UP_DOWN["ArrowRight"])
+    page.press("ArrowRight")
     page.wait_for("document.getElementById('detail-title').textContent !== arguments[0]", before)
     page.wait_for("document.getElementById('detail').dataset.shown")
-
-
-def _position(page):
-    return int(page.run("document.querySelector('[aria-selected=true]').dataset.position"))
 
 
 def _seconds(call):

@@ -113,7 +113,7 @@ SYMSOL.detail = (() => {
     const facts = [
       ["Symmetry set", make("span", `${size} of ${set.group_order} rotations (${share}%)`)],
       ["Marking", make("span", model.table.stratum[id] === NO_MARKING ? "none" : markingOf(id).replace("marking ", ""))],
-      ["In Python", make("code", `symsol_annot.load("${set.place}", "${set.split}")[${row}]`)],
+      ["In Python", make("code", `symsol_annot.load(${JSON.stringify(set.place)}, "${set.split}")[${row}]`)],
       ["R_m2c", make("pre", R)],
     ];
     byId("facts").replaceChildren(...facts.map(([term, value]) => {
