@@ -281,6 +281,11 @@ def test_the_ball_stands_still_where_less_motion_is_wanted_until_t_is_pressed(pa
     before = page.camera()
     time.sleep(0.5)
     assert page.camera() == before
+    page.run("document.getElementById('window').focus()")
+    page.press("ArrowRight")
+    page.wait_for("!document.getElementById('detail-title').textContent.endsWith('test 0')")
+    page.wait_for("document.getElementById('detail').dataset.shown")
+    assert page.camera() == before  # the view is kept from image to image
     assert page.text("turn") == "Turn"
     page.press("t")
     assert page.text("turn") == "Stop turning"

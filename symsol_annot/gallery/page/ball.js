@@ -2,7 +2,7 @@
 "use strict";
 
 SYMSOL.ball = (() => {
-  const FRAME_MS = 50, TURN_RAD = 0.012, HEIGHT = 0.42, DISTANCE = 1.38;
+  const FRAME_MS = 50, TURN_RAD = 0.012, HEIGHT = 0.42, DISTANCE = 1.5;
   let place = null, button = null, loading = null;
   let isTurning = !window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   let angle = -0.9, drawn = false, isHeld = false, busyUntil = 0;
@@ -126,9 +126,8 @@ SYMSOL.ball = (() => {
       place.textContent = "This browser draws no three-dimensional plots (WebGL is off).";
       return;
     }
-    const isTurned = drawn && !isTurning; // somebody holds it: keep their view
     const wanted = layout();
-    if (isTurned) delete wanted.scene.camera;
+    if (drawn && !isTurning) wanted.scene.camera = place.layout.scene.camera; // somebody holds it: keep their view
     await window.Plotly.react(place, traces(scene), wanted, { displayModeBar: false, scrollZoom: false });
     document.getElementById("js-plotly-tester")?.setAttribute("aria-hidden", "true"); // its ruler for text
     drawn = true;
