@@ -96,11 +96,26 @@ def test_the_projection_of_the_conventions_page_is_the_cameras():
     assert f"{camera.focal_px:.3f}" in (ROOT / "docs/conventions.md").read_text()
 
 
-def test_every_module_stands_in_the_architecture_page():
+@pytest.fixture
+def listed_modules():
     rows = re.findall(r"^\| (`\w+\.py`.*?) \|", (ROOT / "docs/architecture.md").read_text(), flags=re.MULTILINE)
-    listed = re.findall(r"`(\w+\.py)`", " ".join(rows))
+    return re.findall(r"`(\w+\.py)`", " ".join(rows))
+
+
+def test_every_module_stands_in_the_architecture_page(listed_modules):
     modules = [path.name for path in (ROOT / "symsol_annot").rglob("*.py") if path.name != "__init__.py"]
-    assert sorted(listed) == sorted(modules)
+    assert sorted(listed_modules) == sorted(modules)
+
+
+def test_the_architecture_page_lists_modules_after_those_that_they_import(listed_modules):
+    place = {name: number for number, name in enumerate(listed_modules)}
+    assert len(place) == len(listed_modules)
+    for path in (ROOT / "symsol_annot").rglob("*.py"):
+        found = re.findall(
+            r"^ *from symsol_annot[.\w]*?(?:\.(\w+))? import (\w+)", path.read_text(), flags=re.MULTILINE
+        )
+        imported = {f"{name}.py" for names in found for name in names} & set(place)
+        assert [name for name in imported if place[name] > place.get(path.name, len(place))] == [], path
 
 
 def test_the_example_of_the_metrics_page_gives_what_it_says():
