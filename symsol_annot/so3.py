@@ -9,7 +9,6 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from symsol_annot.errors import RotationError
 
@@ -203,6 +202,8 @@ def nearest_element(group: Rotations, R: Rotations) -> npt.NDArray[np.intp]:
     Raises:
         RotationError: a rotation is not an element of the group.
     """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - takes 0.2 s, and loading a set needs none
+
     distance, index = cKDTree(group.reshape(-1, 9)).query(R.reshape(-1, 9))
     if np.any(distance > _SAME_ROTATION):
         raise RotationError(
