@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 TEST_WORKERS ?= 2
 
 # The editable install links the files it finds, so it is made again when a file is added or removed.
-SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
+SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/bench/recipes/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
 INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
 .PHONY: demo test check lint docs format soak perf fuzz assets sample release clean
