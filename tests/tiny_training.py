@@ -9,29 +9,26 @@ from symsol_annot.bench import first_stage, resnet
 from symsol_annot.bench.recipe import ClassifierRecipe, HypothesisRecipe
 from symsol_annot.bench.training import Options
 
+_COMMON = {
+    "title": "tiny",
+    "epochs": 4,
+    "batch_size": 8,
+    "learning_rates": (1e-3, 1e-4),
+    "milestones": (3,),
+    "validation_images": 4,
+    "start": "random",
+}
 HYPOTHESES = HypothesisRecipe(
-    title="tiny",
-    epochs=4,
-    batch_size=8,
-    learning_rates=(1e-3, 1e-4),
-    milestones=(3,),
-    validation_images=4,
+    **_COMMON,
     hypotheses=4,
     meta_loss="ewta",
     embedded_loss="von-mises",
     epochs_to_one=3,
-    start="random",
 )
 CLASSIFIER = ClassifierRecipe(
-    title="tiny",
-    epochs=4,
-    batch_size=8,
-    learning_rates=(1e-3, 1e-4),
-    milestones=(3,),
-    validation_images=4,
+    **_COMMON,
     negatives=16,
     frozen_epochs=2,
-    start="random",
     evaluation_level=0,
 )
 RECIPES = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER}
