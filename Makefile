@@ -7,7 +7,7 @@ TEST_WORKERS ?= 2
 SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/bench/recipes/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
 INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
-.PHONY: demo test check lint docs format soak perf fuzz assets sample release clean
+.PHONY: demo test check lint docs format soak perf attack assets sample release clean
 
 demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of two objects, in data/
 	$(BIN)/symsol-annot render --object cylO --train 0 --test 64
@@ -39,8 +39,8 @@ soak: $(INSTALLED)  ## long proofs on real renders and real processes, in build/
 perf: $(INSTALLED)  ## speed and memory, beside the common recipe, drawing every candidate, and PNG files
 	$(BIN)/python tests/perf
 
-fuzz: $(INSTALLED)  ## 20,000 damaged predictions files
-	$(BIN)/python tests/fuzz_predictions.py
+attack: $(INSTALLED)  ## 13,000 damaged and hostile files for every reader, in build/attack.json; half an hour
+	$(BIN)/python tests/attack
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import example
+from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench import comparison
 
@@ -14,4 +15,4 @@ def compare(paths: tuple[Path, ...]) -> None:
     """Put the scores of several methods side by side, with paired bootstrap differences from the first."""
     if len(paths) < 2:
         raise click.UsageError("compare takes two scores files or more; `score --json` writes them")
-    click.echo(comparison.compare(paths))
+    say(comparison.compare(paths))

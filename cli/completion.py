@@ -3,6 +3,7 @@
 import click
 from click.shell_completion import get_completion_class
 from symsol_annot_cli.parameters import example
+from symsol_annot_cli.terminal import say
 
 _PROGRAM, _VARIABLE = "symsol-annot", "_SYMSOL_ANNOT_COMPLETE"  # the one that click derives from the program's name
 
@@ -25,4 +26,4 @@ def completion(context: click.Context, shell: str) -> None:
     if completer is None:
         raise click.UsageError(f"this version of click completes nothing in {shell}; update click")
     script = completer(context.find_root().command, {}, _PROGRAM, _VARIABLE)
-    click.echo(script.source_template % script.source_vars())  # source() would ask this machine's bash for its version
+    say(script.source_template % script.source_vars())  # source() would ask this machine's bash for its version

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import example
+from symsol_annot_cli.terminal import say
 
 from symsol_annot import doctor as examination
 
@@ -21,9 +22,9 @@ def doctor(*, install: bool, out: Path) -> None:
     is_well = True
     for finding in examination.examine(out):
         verdict = "FAIL" if not finding.is_good else "warn" if finding.remedy else "ok  "
-        click.echo(f"{verdict}  {finding.what}: {finding.found}")
+        say(f"{verdict}  {finding.what}: {finding.found}")
         if finding.remedy:
-            click.echo("      " + finding.remedy.replace("\n", "\n      "))
+            say("      " + finding.remedy.replace("\n", "\n      "))
         is_well = is_well and finding.is_good
-    click.echo("Ready to render." if is_well else "Loading and verifying work regardless; rendering does not.")
+    say("Ready to render." if is_well else "Loading and verifying work regardless; rendering does not.")
     sys.exit(0 if is_well else 1)

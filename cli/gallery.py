@@ -5,13 +5,14 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example, progress_bar
+from symsol_annot_cli.terminal import say
 
 from symsol_annot.extras import check_extra
 from symsol_annot.gallery.redrawn import Redrawer
 from symsol_annot.gallery.runs import read_runs
 from symsol_annot.gallery.sources import open_sources
 from symsol_annot.gallery.writing import write_gallery
-from symsol_annot.manifest import SPLITS
+from symsol_annot.names import SPLITS
 from symsol_annot.objects import ObjectSpec
 
 
@@ -68,4 +69,4 @@ def gallery(
     images = sum(len(source.dataset) for source in sources)
     with progress_bar(images, "image") as bar:
         write_gallery(out, sources, runs, partial(Redrawer, count=redrawn, given=spec), bar.update)
-    click.echo(f"{out / 'index.html'}: {images} images" + (f", {len(runs)} runs" if runs else ""))
+    say(f"{out / 'index.html'}: {images} images" + (f", {len(runs)} runs" if runs else ""))

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import example, progress_bar
+from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
 from symsol_annot.machine import cores
-from symsol_annot.manifest import SPLITS, Manifest
+from symsol_annot.manifest import Manifest
+from symsol_annot.names import SPLITS
 from symsol_annot.symsol_import import ImportedSet
 from symsol_annot.symsol_import import import_symsol as imported_sets
 from symsol_annot.symsol_zip import OBJECTS
@@ -35,7 +37,7 @@ def import_symsol(path: Path, out: Path, objects: tuple[str, ...], workers: int 
         options = {"workers": workers or cores(), "on_begin": begin, "on_images": bar.update}
         for made in imported_sets(path, out, objects, **options):
             with tqdm.external_write_mode(file=sys.stdout):  # above the bar
-                click.echo(_line(made))
+                say(_line(made))
 
 
 def _line(made: ImportedSet) -> str:

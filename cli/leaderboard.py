@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import example
+from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench.leaderboard import read_leaderboard
 from symsol_annot.bench.leaderboard_page import to_markdown
@@ -26,4 +27,4 @@ def leaderboard(folder: Path, out: Path, *, check: bool) -> None:
     elif not out.is_file() or out.read_bytes() != page:
         raise ScoresError(f"{out}: is not what {folder} gives; the same command without --check builds it")
     count = sum(len(results) for results in board.results.values())
-    click.echo(f"{out}: {count} results on {len(board.sets)} sets")
+    say(f"{out}: {count} results on {len(board.sets)} sets")

@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 the input or the data is wrong, 2 the command line is, 130
 """
 
 import io
+import logging
 import os
 import signal
 import sys
@@ -26,6 +27,7 @@ from symsol_annot_cli.queries import queries
 from symsol_annot_cli.reference import reference
 from symsol_annot_cli.render import render
 from symsol_annot_cli.score import score
+from symsol_annot_cli.terminal import TerminalHandler, say
 from symsol_annot_cli.train import train
 from symsol_annot_cli.validate import validate
 from symsol_annot_cli.verify import verify
@@ -33,6 +35,7 @@ from symsol_annot_cli.verify import verify
 from symsol_annot import SymsolError, __version__
 
 _INTERRUPTED = 130
+_STANDARD_ERROR = 2
 _OWN = {*sys.stdlib_module_names, "click", "symsol_annot", "symsol_annot_cli"}
 _EXAMPLE = example(
     "symsol-annot render --object cylO --train 0 --test 64",
@@ -55,22 +58,39 @@ for command in (*_DATA_COMMANDS, *_BENCHMARK_COMMANDS, completion):
 
 def main() -> None:
     """Run the command line and exit."""
+    _open_closed_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without arrows gets question marks, not a traceback
+    logging.basicConfig(handlers=[TerminalHandler()], format="Warning: %(message)s", level=logging.WARNING)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: what is half done goes
     try:
         code = app.main(standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        shown = io.StringIO()
+        error.show(shown)
+        say(shown.getvalue().rstrip("\n"), err=True)
         code = error.exit_code
     except (SymsolError, OSError, ImportError) as error:
-        click.echo(f"Error: {_in_words(error)}", err=True)
+        say(f"Error: {_in_words(error)}", err=True)
         code = 1
     except (click.Abort, KeyboardInterrupt):
-        click.echo("Interrupted.", err=True)
+        say("Interrupted.", err=True)
         code = _INTERRUPTED
     sys.exit(code or 0)
+
+
+def _open_closed_streams() -> None:
+    """Give standard input, output and error, where they are closed, to nobody.
+
+    Else the next file that is opened would get their number, and what a library prints would be written into it.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= _STANDARD_ERROR:
+        os.set_inheritable(descriptor, True)
+    os.close(descriptor)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - until the end
 
 
 def _in_words(error: SymsolError | OSError | ImportError) -> str:

@@ -8,7 +8,7 @@ from click.shell_completion import CompletionItem
 from tqdm import tqdm
 
 from symsol_annot.errors import UnknownObjectError
-from symsol_annot.manifest import SPLITS
+from symsol_annot.names import SPLITS
 from symsol_annot.objects import ObjectSpec, builtin_names, load_object
 
 

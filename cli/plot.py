@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, example
+from symsol_annot_cli.terminal import say
 
 from symsol_annot import dataset
 from symsol_annot.bench import score_plots
@@ -46,7 +47,7 @@ def images(folder: Path, split: str, start: int, count: int, out: Path | None) -
         raise click.UsageError(f"--start {start}: the split has {len(samples)} images, from 0")
     path = out or folder.parent / f"{folder.resolve().name}-{split}.png"
     contact_sheet(samples[start : start + count], path, has_marking=samples.has_marking)
-    click.echo(path)
+    say(path)
 
 
 @plot.command(epilog=example("symsol-annot plot sets data/tetX --image 3 --predictions preds.h5 --out sets.pdf"))
@@ -83,7 +84,7 @@ def sets(
         method, every = _predicted(predictions, samples, track)
         title, predicted = f"{title}: {method}", [every[image] for image in images]
     plot_sets(chosen, out, kind, predicted, title)
-    click.echo(out)
+    say(out)
 
 
 @plot.command("slice", epilog=example("symsol-annot plot slice runs/tetX-classifier --image 3 --out slice.pdf"))
@@ -109,7 +110,7 @@ def slice_(
     samples = dataset.load(find_set(data, opened[0].record.object), split)
     classifiers = slice_plots.classifiers_for(samples, opened)
     slice_plots.plot_slice(classifiers, _sample(samples, image), out, axis, reach)
-    click.echo(out)
+    say(out)
 
 
 def _add_scores_plot(name: str, draw: Callable[[Sequence[Path], Path, str, str], None], about: str) -> None:
@@ -124,7 +125,7 @@ def _add_scores_plot(name: str, draw: Callable[[Sequence[Path], Path, str, str],
     def draw_scores(paths: tuple[Path, ...], object_name: str, stratum: str, out: Path) -> None:
         check_extra("plot", "plotting")
         draw(paths, out, object_name, stratum)
-        click.echo(out)
+        say(out)
 
 
 _add_scores_plot(
@@ -149,7 +150,7 @@ def losses(*, toy: bool, out: Path) -> None:
     from symsol_annot.bench import loss_plots  # noqa: PLC0415 - slow to import
 
     (loss_plots.plot_toys if toy else loss_plots.plot_curves)(out)
-    click.echo(out)
+    say(out)
 
 
 def _sample(samples: Dataset, image: int) -> Sample:

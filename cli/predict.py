@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import DATA, SPLIT, example
+from symsol_annot_cli.terminal import say
 
 from symsol_annot import dataset
 from symsol_annot.bench.truth import find_set
@@ -22,8 +23,8 @@ from symsol_annot.grid import STANDARD_LEVEL
 def predict(checkpoint: Path, data: Path, split: str, out: Path, device: str, method: str | None, level: int) -> None:
     """Write the predictions of a trained model, for `score`.
 
-    CHECKPOINT is the folder that `train` wrote, or a file of weights in it. A classifier's predictions may be
-    interrupted; the same command goes on.
+    CHECKPOINT is the folder that `train` wrote, or a file of weights in it. Re-running an interrupted command resumes
+    it; the answers of another checkpoint are refused.
     """
     check_extra("bench", "predicting")
     from symsol_annot.bench import checkpoints, devices, inference  # noqa: PLC0415 - slow to import
@@ -32,6 +33,6 @@ def predict(checkpoint: Path, data: Path, split: str, out: Path, device: str, me
     model = checkpoints.open_checkpoint(checkpoint)
     with dataset.load(find_set(data, model.record.object), split) as images:
         track = inference.predict(model, images, out, chosen, method=method, level=level)
-    click.echo(
+    say(
         f"{out}: {track} about {len(images)} images of {images.object}\nNext:\n  symsol-annot score {out} --data {data}"
     )

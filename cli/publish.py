@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 from symsol_annot_cli.parameters import SET_FOLDER, example, progress_bar
+from symsol_annot_cli.terminal import say
 
 from symsol_annot.extras import check_extra
 
@@ -37,5 +38,5 @@ def publish(folder: Path, out: Path, authors: tuple[str, ...], **texts: str | No
     with progress_bar(2 * shards, "shard") as bar:  # verified, then published
         publication.publish(sets, out, about, bar.update)
     images = sum(entry.images for published in sets for entry in published.manifest.shards)
-    click.echo(f"{out}: {', '.join(published.name for published in sets)}: {shards} shards, {images} images")
-    click.echo(f"Next:\n  (cd {out} && sha256sum -c SHA256SUMS)\n  and read {out}/README.md, the dataset card")
+    say(f"{out}: {', '.join(published.name for published in sets)}: {shards} shards, {images} images")
+    say(f"Next:\n  (cd {out} && sha256sum -c SHA256SUMS)\n  and read {out}/README.md, the dataset card")

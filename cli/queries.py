@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import SET_FOLDER, SPLIT, example, progress_bar
+from symsol_annot_cli.terminal import say
 
 from symsol_annot import dataset
 from symsol_annot.bench.query_file import write_queries
@@ -21,4 +22,4 @@ def queries(folder: Path, split: str, out: Path, level: int) -> None:
     make_folder(out.parent)
     with dataset.load(folder, split) as about, progress_bar(len(about), "image") as bar:
         write_queries(out, about, level, bar.update)
-    click.echo(out)
+    say(out)

@@ -1,15 +1,16 @@
 """`symsol-annot reference`: score methods that know the answer, half of it, or nothing."""
 
-import tempfile
 from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import SPLIT, example, progress_bar
+from symsol_annot_cli.terminal import say
 
 from symsol_annot import dataset
 from symsol_annot.bench import report
 from symsol_annot.bench.reference import ROWS, score_row
 from symsol_annot.files import make_folder, write_atomically
+from symsol_annot.scratch import Scratch, sweep, temporary_errors
 
 
 @click.command(epilog=example("symsol-annot reference data/cylO data/tetX --row evenly-placed"))
@@ -18,18 +19,19 @@ from symsol_annot.files import make_folder, write_atomically
 @click.option("--row", "rows", type=click.Choice(list(ROWS)), multiple=True, help="One row; may be repeated.  [all]")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("reference"), show_default=True)
 def reference(folders: tuple[Path, ...], split: str, rows: tuple[str, ...], out: Path) -> None:
-    """Score reference rows on sets, one an object: the truth, a blind method, random rotations and others.
+    """Score reference rows on sets, one per object: the truth, a blind method, random rotations and others.
 
-    Writes a scores.json a row, to compare one's own with.
+    Writes a scores.json per row, to compare one's own with.
     """
     datasets = [dataset.load(folder, split) for folder in folders]
     make_folder(out)
+    sweep()
     chosen = rows or tuple(ROWS)
     with progress_bar(len(chosen), "row") as bar:
         for name in chosen:
             bar.set_description(name)
-            with tempfile.TemporaryDirectory(prefix="symsol-annot-") as workplace:
-                document = score_row(name, datasets, Path(workplace))
+            with temporary_errors(), Scratch() as workplace:
+                document = score_row(name, datasets, workplace.path)
             write_atomically(out / f"{name}.json", report.to_json(document).encode())
-            click.echo(f"\n{report.tables(document)}")
+            say(f"\n{report.tables(document)}")
             bar.update()

@@ -7,16 +7,19 @@ from shlex import quote
 import click
 from symsol_annot_cli.parameters import ObjectType, example
 from symsol_annot_cli.reporting import LOG_FORMATS, Tally, failures_in_words, reporter
+from symsol_annot_cli.terminal import say
 
 from symsol_annot.blender_process import check_blender_installed
+from symsol_annot.errors import ClusterError
 from symsol_annot.executors import OpenExecutor, local_processes
 from symsol_annot.extras import check_extra
 from symsol_annot.generate import generate
 from symsol_annot.machine import cores
-from symsol_annot.manifest import SPLITS, Manifest
+from symsol_annot.manifest import ANNOTATE_CHOICES, MAX_SEED, Manifest
+from symsol_annot.names import SPLITS
 from symsol_annot.object_check import check_object
 from symsol_annot.objects import ObjectSpec
-from symsol_annot.plan import ANNOTATE_CHOICES, MAX_SEED, SetPlan
+from symsol_annot.plan import SetPlan
 from symsol_annot.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, RenderSettings
 from symsol_annot.shard_process import DEFAULT_LIMITS, Limits
 
@@ -52,7 +55,7 @@ _MIB = 2**20
     help="auto: geometry decides where it can, on convex bodies. exhaustive: draw every candidate. Same bytes.",
 )
 @click.option("--workers", type=click.IntRange(min=1), default=None, help="Blender processes.  [default: all cores]")
-@click.option("--cluster", metavar="ADDRESS", help="Let a Dask scheduler's workers do it: tcp://HOST:8786.")
+@click.option("--cluster", metavar="ADDRESS", help="Let a Dask scheduler's workers do it: tls://HOST:8786.")
 @click.option(
     "--scheduler-file", type=click.Path(path_type=Path), help="The same, the address read from the scheduler's file."
 )
@@ -119,7 +122,7 @@ def render(
         try:
             manifest = generate(plan, folder, open_executor, report, repair=repair)
         except KeyboardInterrupt:
-            click.echo(f"Finished shards in {folder} are kept; the same command goes on.", err=True)
+            say(f"Finished shards in {folder} are kept; the same command goes on.", err=True)
             raise
     _summarise(folder, manifest, report.tally)
 
@@ -133,23 +136,33 @@ def _executor(
         check_blender_installed()
         return partial(local_processes, workers=workers or cores(), limits=limits, exhaustive=exhaustive)
     check_extra("cluster", "a cluster")
-    from symsol_annot.cluster import DaskCluster, address_in  # noqa: PLC0415 - an extra, slow to import
+    try:
+        from symsol_annot.cluster import DaskCluster  # noqa: PLC0415 - an extra, slow to import
+        from symsol_annot.cluster_address import address_in, is_unprotected  # noqa: PLC0415
+    except ValueError as error:  # Dask reads its configuration when it is imported
+        raise ClusterError(f"Dask cannot be imported before its configuration is corrected: {error}") from None
 
-    address = cluster or address_in(scheduler_file or Path())
+    address = address_in(scheduler_file) if scheduler_file else cluster or ""
+    if is_unprotected(address):
+        say(
+            f"Warning: the connection to {address} is neither encrypted nor authenticated: whoever is on its way reads "
+            "it, and can run code here, on the scheduler and on its workers; docs/scale.md#tls says how to protect it",
+            err=True,
+        )
     return partial(DaskCluster, address=address, limits=limits, exhaustive=exhaustive)
 
 
 def _summarise(folder: Path, manifest: Manifest, tally: Tally) -> None:
-    click.echo(f"{folder}: {manifest.recipe['object']}, fingerprint {manifest.fingerprint}")
+    say(f"{folder}: {manifest.recipe['object']}, fingerprint {manifest.fingerprint}")
     for split in SPLITS:
         entries = manifest.of_split(split)
         if entries:
             mebibytes = sum(entry.bytes or 0 for entry in entries) / 2**20
             sets = "with symmetry sets" if manifest.is_annotated(split) else "without symmetry sets"
-            click.echo(f"  {split}: {manifest.images(split)} images {sets}, {len(entries)} shards, {mebibytes:.1f} MiB")
+            say(f"  {split}: {manifest.images(split)} images {sets}, {len(entries)} shards, {mebibytes:.1f} MiB")
     for line in failures_in_words(tally):
-        click.echo(line)
+        say(line)
     split = "test" if manifest.images("test") else "train"
     path, code = quote(str(folder)), f"import symsol_annot; print(symsol_annot.load({str(folder)!r}, {split!r})[0])"
-    click.echo(f"Next:\n  symsol-annot verify {path}\n  symsol-annot plot images {path} --split {split}")
-    click.echo(f"  python -c {quote(code)}")
+    say(f"Next:\n  symsol-annot verify {path}\n  symsol-annot plot images {path} --split {split}")
+    say(f"  python -c {quote(code)}")

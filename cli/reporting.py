@@ -8,10 +8,11 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-import click
 from symsol_annot_cli.parameters import progress_bar
+from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
+from symsol_annot.errors import printable
 from symsol_annot.events import Event, ImagesMade, ShardBegunAgain, ShardFinished, Started, StrangersFound, WorkersGone
 
 LOG_FORMATS = ("text", "json")
@@ -103,7 +104,7 @@ class TextReporter:
             self._bar.set_postfix_str(f"{self.tally.shards_done}/{self.tally.shards} shards{failed}", refresh=False)
 
     def _say(self, line: str) -> None:
-        tqdm.write(line, file=sys.stderr)
+        tqdm.write(printable(line), file=sys.stderr)
 
     def __enter__(self) -> Self:
         return self
@@ -158,7 +159,7 @@ class JsonReporter:
             "seconds_left": None if left is None else round(left, 1),
             "failures": dict(tally.failures_by_worker()),
         }
-        click.echo(json.dumps(line), err=True)
+        say(json.dumps(line), err=True)
 
     def __enter__(self) -> Self:
         return self

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import DATA, PREDICTIONS, example, progress_bar
+from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench import report
 from symsol_annot.bench.predictions import open_predictions
 from symsol_annot.bench.scoring import score as score_predictions
+from symsol_annot.errors import printable
 from symsol_annot.files import write_atomically
 
 
@@ -19,7 +21,7 @@ from symsol_annot.files import write_atomically
 def score(paths: tuple[Path, ...], data: Path, json_path: Path | None, csv_path: Path | None) -> None:
     """Score predictions: recall, precision and F-measure, with intervals, by stratum.
 
-    Several files, one an object, give the benchmark's table.
+    Several files, one per object, give the benchmark's table.
     """
     outputs = [path.absolute() for path in (json_path, csv_path) if path]
     if len(set(outputs)) < len(outputs) or not {path.absolute() for path in paths}.isdisjoint(outputs):
@@ -29,10 +31,10 @@ def score(paths: tuple[Path, ...], data: Path, json_path: Path | None, csv_path:
         with open_predictions(path, data) as predictions:
             rows = len(predictions.tracks) * len(predictions.truth)
             with progress_bar(rows, "row") as bar:
-                bar.set_description(path.name)
+                bar.set_description(printable(path.name))
                 scores.append(score_predictions(predictions, bar.update))
     document = report.to_document(scores, paths)
-    click.echo(report.tables(document))
+    say(report.tables(document))
     if json_path:
         write_atomically(json_path, report.to_json(document).encode())
     if csv_path:

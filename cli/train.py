@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Self
 
 import click
 from symsol_annot_cli.parameters import DATA, example, progress_bar
+from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
 from symsol_annot import dataset
 from symsol_annot.bench.recipe import builtin_recipes, load_recipe
 from symsol_annot.bench.truth import find_set
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DataError, printable
 from symsol_annot.extras import check_extra
 from symsol_annot.set_folders import set_folders
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  # noqa: FBT001 - as click calls it
     if is_asked and not context.resilient_parsing:
         for name in builtin_recipes():
-            click.echo(f"{name:<34}{load_recipe(name).title}")
+            say(f"{name:<34}{load_recipe(name).title}")
         context.exit()
 
 
@@ -87,9 +88,7 @@ def train(
                 on_images=progress.advance,
                 on_epoch=progress.tell,
             )
-    click.echo(
-        f"{place}: {record.epochs_done} epochs of {record.epochs}\nNext:\n  symsol-annot predict {place} --data {data}"
-    )
+    say(f"{place}: {record.epochs_done} epochs of {record.epochs}\nNext:\n  symsol-annot predict {place} --data {data}")
 
 
 def _set_in(data: Path, object_name: str | None) -> Path:
@@ -113,7 +112,7 @@ class _Progress:
     def begin(self, record: "TrainingRecord", images_an_epoch: int) -> None:
         """Show what is there already."""
         self._bar = progress_bar(record.epochs * images_an_epoch, "image", done=record.epochs_done * images_an_epoch)
-        self._bar.set_description(self._place.name)
+        self._bar.set_description(printable(self._place.name))
         if record.epochs_done:
             _say(f"goes on after epoch {record.epochs_done} of {record.epochs}")
 
@@ -138,9 +137,9 @@ class _Progress:
         if self._bar:
             self._bar.close()
         if isinstance(error, KeyboardInterrupt):
-            click.echo(f"Finished epochs are kept in {self._place}; the same command goes on.", err=True)
+            say(f"Finished epochs are kept in {self._place}; the same command goes on.", err=True)
 
 
 def _say(line: str) -> None:
     with tqdm.external_write_mode(file=sys.stdout):  # above the bar
-        click.echo(line)
+        say(line)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.parameters import DATA, PREDICTIONS, example
+from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench.predictions import open_predictions
 from symsol_annot.errors import SymsolError
@@ -21,8 +22,8 @@ def validate(paths: tuple[Path, ...], data: Path) -> None:
             with open_predictions(path, data) as predictions:
                 predictions.check()
                 tracks = ", ".join(track.name for track in predictions.tracks)
-                click.echo(f"{path}: valid; {predictions.truth.object}, {len(predictions.truth)} images: {tracks}")
+                say(f"{path}: valid; {predictions.truth.object}, {len(predictions.truth)} images: {tracks}")
         except SymsolError as error:
-            click.echo(f"Error: {error}", err=True)
+            say(f"Error: {error}", err=True)
             is_good = False
     sys.exit(0 if is_good else 1)

@@ -8,6 +8,7 @@ import click
 import numpy as np
 from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example, progress_bar
 from symsol_annot_cli.reporting import failures_in_words, reporter
+from symsol_annot_cli.terminal import say
 
 from symsol_annot import dataset
 from symsol_annot.audit import AuditReport, audit
@@ -51,7 +52,7 @@ def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int
         except DataError as error:
             if len(sets) == 1:
                 raise
-            click.echo(f"FAULT {error}")
+            say(f"FAULT {error}")
             found = [str(error)]
         faults += found
     sys.exit(1 if faults else 0)
@@ -62,10 +63,10 @@ def _verify_set(folder: Path) -> list[str]:
     with progress_bar(len(manifest.shards), "shard") as bar:
         faults = find_faults(folder, bar.update)
     for fault in faults:
-        click.echo(f"FAULT {folder}: {fault}")
+        say(f"FAULT {folder}: {fault}")
     images = sum(entry.images for entry in manifest.shards)
     summary = f"{len(faults)} faults" if faults else "whole and consistent"
-    click.echo(f"{folder}: {len(manifest.shards)} shards, {images} images: {summary}")
+    say(f"{folder}: {len(manifest.shards)} shards, {images} images: {summary}")
     return faults
 
 
@@ -74,13 +75,13 @@ def _repair_set(folder: Path, given: ObjectSpec | None) -> None:
     damaged = {entry.file for entry in damaged_shards(folder, manifest)}
     todo = [entry.file for entry in manifest.shards if not entry.is_finished or entry.file in damaged]
     if not todo:
-        click.echo(f"{folder}: nothing to repair")
+        say(f"{folder}: nothing to repair")
         return
     check_blender_installed()
     plan, open_executor = plan_behind(folder, manifest, given), partial(local_processes, workers=cores())
     with reporter("text", plan.spec.name) as report:
         generate(plan, folder, open_executor, report, repair=True)
-    click.echo("\n".join([f"{folder}: made again: {', '.join(todo)}", *failures_in_words(report.tally)]))
+    say("\n".join([f"{folder}: made again: {', '.join(todo)}", *failures_in_words(report.tally)]))
 
 
 def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.random.Generator) -> list[str]:
@@ -100,8 +101,8 @@ def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.rando
 
 def _print_report(folder: Path, report: AuditReport) -> None:
     for fault in report.faults:
-        click.echo(f"FAULT {folder}: {fault}")
-    click.echo(
+        say(f"FAULT {folder}: {fault}")
+    say(
         f"{folder}: drew {report.images} images again, with {report.members} members of their sets and "
         f"{report.rejected} rejected candidates: {len(report.faults)} faults\n"
         f"  rejected candidates that draw the same pixels, for the marking shows too little: {report.near_neighbours}\n"

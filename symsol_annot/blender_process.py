@@ -7,7 +7,6 @@ ends with its parent, and is ended when it falls silent.
 
 import contextlib
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -18,12 +17,13 @@ from collections.abc import Callable
 from importlib import util
 from itertools import groupby
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 from symsol_annot.errors import RendererCrashedError, RendererHungError, RendererMissingError, RenderError
 from symsol_annot.mesh import Mesh
 from symsol_annot.scene import Camera, Renderer, RenderSettings
-from symsol_annot.scratch import Scratch, temporary_errors
+from symsol_annot.scratch import Scratch, remove_marked, temporary_errors
 
 if sys.platform != "win32":
     import fcntl
@@ -224,7 +224,7 @@ def serve(start: Callable[[Any], tuple[Answer, Any]]) -> None:
     _die_with_parent(lifeline)
     try:
         answer, greeting = start(connection.recv())
-        shutil.rmtree(os.environ["TMPDIR"], ignore_errors=True)  # nothing is left, even if both are killed
+        remove_marked(Path(os.environ["TMPDIR"]))  # nothing is left, even if both are killed
         connection.send(greeting)
         while True:
             request = connection.recv()
@@ -259,6 +259,7 @@ def _environment(scratch: str) -> dict[str, str]:
         "TMPDIR": scratch,
         "BLENDER_USER_RESOURCES": scratch,
         "XDG_CACHE_HOME": scratch,  # else Blender makes ~/.cache/thumbnails
+        "MESA_SHADER_CACHE_DISABLE": "true",  # it maps a file, and a full disk ends whoever writes there (SIGBUS)
     }
 
 

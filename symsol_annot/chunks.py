@@ -3,34 +3,29 @@
 HDF5 says where a chunk lies; its bytes are then read from the file itself.
 """
 
+import hashlib
 import math
 import os
 import sys
 import threading
 import weakref
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, cast
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 from zlib_ng import zlib_ng
 
-from symsol_annot.errors import DataError
+from symsol_annot.errors import DamageError
+from symsol_annot.reading import open_regular
 
 Identity: TypeAlias = tuple[int, int, int]
 
 GZIP_LEVEL = 4  # the highest of zlib-ng 2.3.3 that gives the same bytes with and without a processor's SIMD
-HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)  # what h5py makes of damage
-DEFLATE, SHUFFLE, FLETCHER32 = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32
-_READABLE_FILTERS: tuple[list[int], ...] = (
-    [],
-    [DEFLATE],
-    [FLETCHER32],
-    [DEFLATE, FLETCHER32],
-)  # a shuffle of bytes is none
+DEFLATE, FLETCHER32 = 1, 3  # HDF5's numbers of the filters
 _CHECKSUM_BYTES = 4
-_NOT_THERE = "the file's index is damaged: a chunk is missing, or there twice"
+_BLOCK_BYTES = 2**20
 _DEFLATE_ERROR = cast("type[Exception]", zlib_ng.error)
 
 
@@ -68,43 +63,30 @@ def fletcher32(data: bytes) -> int:
     return running << 16 | plain
 
 
-def whole(dataset: h5py.Dataset) -> npt.NDArray[Any]:
-    """Return all of a data set.
-
-    Raises:
-        ValueError: a chunk of it is not in the file; HDF5 would give zeros.
-    """
-    if dataset.chunks is not None:
-        expected = math.prod(-(-side // chunk) for side, chunk in zip(dataset.shape, dataset.chunks, strict=True))
-        found = {chunk.chunk_offset for chunk in _chunks(dataset)}
-        if len(found) != expected or any(np.any(np.array(offset) >= dataset.shape) for offset in found):
-            raise ValueError(_NOT_THERE)
-    values: npt.NDArray[Any] = dataset[...]
-    return values
-
-
-def filters_of(dataset: h5py.Dataset) -> list[int]:
-    """Return the codes of a data set's filters, in the order in which they were applied."""
-    plist = dataset.id.get_create_plist()
-    return [plist.get_filter(i)[0] for i in range(plist.get_nfilters())]
-
-
-def identity_of(file: h5py.File) -> Identity:
-    """Return `ByteFile.identity` of a file that HDF5 has open."""
-    return _identity(file.filename if sys.platform == "win32" else file.id.get_vfd_handle())
-
-
 class ByteFile:
     """A file that is open for reading, from any thread and in forked processes; closed once nobody holds it."""
 
     def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
-        weakref.finalize(self, os.close, self._descriptor)  # so not while another thread reads
+        self._descriptor = open_regular(path)
+        self._end = weakref.finalize(self, os.close, self._descriptor)  # so not while another thread reads
 
     @property
     def identity(self) -> Identity:
         """What tells it from a file that took its name."""
         return _identity(self._descriptor)
+
+    def close(self) -> None:
+        """Close the file at once, which nobody else may be reading from."""
+        self._descriptor = -1
+        self._end()
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of all bytes, as hexadecimal."""
+        digest, offset = hashlib.sha256(), 0
+        while block := _pread(self._descriptor, _BLOCK_BYTES, offset):
+            digest.update(block)
+            offset += len(block)
+        return digest.hexdigest()
 
     def read(self, size: int, offset: int) -> bytes:
         """Return the bytes at a place.
@@ -118,84 +100,68 @@ class ByteFile:
         return data
 
 
-class Rows:
-    """Where the rows of a data set of bytes lie, each a chunk; it outlives the HDF5 file that told it.
-
-    gzip's adler32 is checked at reading, fletcher32 is not. A data set that is stored in another way than
-    docs/format.md has it is left to HDF5, which opens the file again for each row.
-    """
-
-    def __init__(self, dataset: h5py.Dataset) -> None:
-        self._path, self._name = dataset.file.filename, dataset.name
-        self._shape, self._dtype = dataset.shape[1:], dataset.dtype
-        self._size = math.prod(self._shape)
-        self._places = _places(dataset) if _has_a_chunk_a_row(dataset) else None
-
-    def read(self, row: int, file: ByteFile) -> npt.NDArray[Any]:
-        """Return a row as a new array.
-
-        Args:
-            row: its number.
-            file: the data set's.
-
-        Raises:
-            DataError: the row is damaged.
-        """
-        try:
-            return self._by_hdf5(row) if self._places is None else self._by_place(self._places.get(row), file)
-        except (*HDF5_ERRORS, _DEFLATE_ERROR) as error:
-            raise DataError(
-                f"{self._path}: row {row} cannot be read: {self._name.strip('/')}: {error}. "
-                "`symsol-annot verify` checks the whole set"
-            ) from None
-
-    def _by_place(self, place: "_Place | None", file: ByteFile) -> npt.NDArray[Any]:
-        if place is None:  # HDF5 would give zeros
-            raise ValueError(_NOT_THERE)
-        data = file.read(place.size, place.offset)
-        if place.is_deflated:
-            data = _inflated(data, self._size)
-        return np.frombuffer(data, self._dtype).reshape(self._shape).copy()
-
-    def _by_hdf5(self, row: int) -> npt.NDArray[Any]:
-        with h5py.File(self._path, "r") as file:
-            values: npt.NDArray[Any] = file[self._name][row]
-        if values.shape != self._shape or values.dtype != self._dtype:
-            raise ValueError(f"expected {self._dtype} of shape {self._shape}, found {values.dtype} of {values.shape}")
-        return values
-
-
-class _Place(NamedTuple):
-    """Where a row lies in the file, without its fletcher32."""
+class Place(NamedTuple):
+    """Where a chunk lies in a file, with its fletcher32 at the end."""
 
     offset: int
     size: int
-    is_deflated: bool
 
 
-def _has_a_chunk_a_row(dataset: h5py.Dataset) -> bool:
-    is_plain = dataset.dtype.itemsize == 1 and not dataset.file.userblock_size
-    filters = [code for code in filters_of(dataset) if code != SHUFFLE]
-    return is_plain and dataset.chunks == (1, *dataset.shape[1:]) and filters in _READABLE_FILTERS
+@dataclass(frozen=True)
+class StoredArray:
+    """A data set as the format stores it: chunks of whole rows, gzip and fletcher32, each at a known place.
+
+    gzip's adler32 is checked at reading, fletcher32 is not.
+
+    Attributes:
+        name: of the data set.
+        shape: of the array; the first axis has the rows.
+        dtype: numpy's name of its type, whose bytes are the file's.
+        rows_per_chunk: which divides the rows.
+        places: of the chunks, in the order of their rows.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+    rows_per_chunk: int
+    places: tuple[Place, ...]
+
+    def row(self, row: int, file: "ByteFile") -> npt.NDArray[Any]:
+        """Return a row as a new array, where each has a chunk of its own.
+
+        Raises:
+            DamageError: the row is damaged.
+        """
+        return self._chunk(row, file).reshape(self.shape[1:])
+
+    def whole(self, file: "ByteFile") -> npt.NDArray[Any]:
+        """Return all rows as a new array.
+
+        Raises:
+            DamageError: a chunk is damaged.
+        """
+        return np.concatenate([self._chunk(number, file) for number in range(len(self.places))]).reshape(self.shape)
+
+    def _chunk(self, number: int, file: "ByteFile") -> npt.NDArray[Any]:
+        place, kind = self.places[number], np.dtype(self.dtype)
+        try:
+            data = _inflated(file.read(place.size - _CHECKSUM_BYTES, place.offset), self._chunk_bytes)
+        except (ValueError, OSError, _DEFLATE_ERROR) as error:
+            rows = f"row {number}" if self.rows_per_chunk == 1 else self.name
+            raise DamageError(f"{rows} cannot be read: {self.name}: {error}") from None
+        if kind == np.bool_ and np.frombuffer(data, np.uint8).max() > 1:
+            raise DamageError(f"{self.name} cannot be read: it holds other bytes than 0 and 1")
+        return np.frombuffer(data, kind).copy()
+
+    @property
+    def _chunk_bytes(self) -> int:
+        return self.rows_per_chunk * math.prod(self.shape[1:]) * np.dtype(self.dtype).itemsize
 
 
-def _places(dataset: h5py.Dataset) -> dict[int, _Place | None]:
-    """Return where the rows lie, by row; None for one that is there twice."""
-    filters = filters_of(dataset)
-    places: dict[int, _Place | None] = {}
-    for chunk in _chunks(dataset):
-        applied = [code for bit, code in enumerate(filters) if not chunk.filter_mask >> bit & 1]
-        size = chunk.size - (_CHECKSUM_BYTES if FLETCHER32 in applied else 0)
-        row = chunk.chunk_offset[0]
-        places[row] = None if row in places else _Place(chunk.byte_offset, max(0, size), DEFLATE in applied)
-    return places
-
-
-def _chunks(dataset: h5py.Dataset) -> list[Any]:
-    """Return what HDF5 says of the chunks that are in the file."""
-    found: list[Any] = []
-    dataset.id.chunk_iter(found.append)
-    return found
+def largest_chunk(values_bytes: int) -> int:
+    """Return how many bytes a stored chunk of so many bytes of values can have: deflate hardly lengthens anything."""
+    return values_bytes + values_bytes // 500 + 256
 
 
 def _inflated(data: bytes, size: int) -> bytes:

@@ -1,22 +1,27 @@
 """The executor on a Dask cluster: its workers make the shards, this process checks and writes them."""
 
-import json
-import logging
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import CancelledError, Future
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from itertools import count
-from pathlib import Path
 from typing import Any, Self
 
 from distributed import Client, KilledWorker
 from distributed import Future as DaskFuture
 
-from symsol_annot.cluster_checks import CONNECT_SECONDS, DECIDE_BYTES, check_scheduler, worker_faults
+from symsol_annot.cluster_checks import (
+    CONNECT_SECONDS,
+    DECIDE_BYTES,
+    check_scheduler,
+    faults_of_encryption,
+    silent_dask,
+    worker_faults,
+    worker_options,
+)
 from symsol_annot.cluster_worker import ShardMakers, make_on_worker
 from symsol_annot.errors import ClusterError, RendererCrashedError, SymsolError, bulleted
 from symsol_annot.manifest import ShardEntry
@@ -34,12 +39,12 @@ class DaskCluster:
 
     Args:
         plan: the set.
-        address: the scheduler's, like tcp://10.0.0.1:8786.
+        address: the scheduler's, like tcp://10.0.0.1:8786 or tls://10.0.0.1:8786.
         limits: of each worker's Blender process.
         exhaustive: draw every candidate.
 
     Raises:
-        ClusterError: no scheduler answers, it has no workers, or they lack what is needed or are not alike.
+        ClusterError: no scheduler answers, TLS fails, or there are no workers, or they lack what is needed or differ.
     """
 
     def __init__(
@@ -58,7 +63,7 @@ class DaskCluster:
         """Connect, look at the workers, and hand them the plan."""
         check_scheduler(self._address)
         with ExitStack() as opened:
-            opened.enter_context(_silent_dask())
+            opened.enter_context(silent_dask())
             try:
                 client = Client(self._address, timeout=CONNECT_SECONDS, set_as_default=False)
                 self._client = opened.enter_context(client)
@@ -69,6 +74,10 @@ class DaskCluster:
                 raise self._hung() from None
             except (OSError, CancelledError):
                 raise self._lost() from None
+            except SymsolError:
+                raise
+            except Exception as error:
+                raise self._strange(error) from error
             self._opened = opened.pop_all()
         return self
 
@@ -86,16 +95,17 @@ class DaskCluster:
         """Return the number of the workers' threads; looked at once a second.
 
         Raises:
-            ClusterError: the scheduler is gone.
+            ClusterError: the scheduler is gone, or a worker has come that listens without TLS where it speaks TLS.
         """
         if time.monotonic() - self._looked_at >= _LOOK_SECONDS:
             try:
-                self._threads = sum(_answer_of(self._client.nthreads).values())
+                threads: Mapping[str, int] = _answer_of(self._client.nthreads)
             except TimeoutError:
                 raise self._hung() from None
             except (OSError, CancelledError):
                 raise self._lost() from None
-            self._looked_at = time.monotonic()
+            self._check_encryption(threads)
+            self._threads, self._looked_at = sum(threads.values()), time.monotonic()
         if self._client.status != "running":
             raise self._lost()
         return self._threads
@@ -117,7 +127,10 @@ class DaskCluster:
 
     def _arrive(self, outcome: "Future[MadeShard]", task: "DaskFuture[MadeShard]") -> None:
         try:
-            outcome.set_result(task.result())
+            made = task.result()
+            if not isinstance(made, MadeShard):
+                raise TypeError(f"expected a shard from it, found {type(made).__name__}")  # noqa: TRY301 - told below
+            outcome.set_result(made)
         except KilledWorker as error:
             lost = RendererCrashedError(f"Dask lost {error.allowed_failures + 1} workers that were making it")
             lost.worker = str(error.last_worker.address)
@@ -133,7 +146,8 @@ class DaskCluster:
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
         _, said = event
-        self._on_images[said["shard"]](said["images"])
+        if said.get("shard") in self._on_images:
+            self._on_images[said["shard"]](said["images"])
 
     def _lost(self) -> ClusterError:
         return ClusterError(
@@ -147,16 +161,28 @@ class DaskCluster:
             "the one that hangs: finished shards are kept, and the same command goes on"
         )
 
+    def _strange(self, error: Exception) -> ClusterError:
+        return ClusterError(
+            f"the Dask scheduler at {self._address} answers otherwise than Dask does here ({type(error).__name__}: "
+            f"{error}). Have the same Python and the same version of distributed there and here"
+        )
+
+    def _check_encryption(self, workers: Iterable[str]) -> None:
+        faults = faults_of_encryption(self._address, workers)
+        if faults:
+            raise ClusterError(f"workers of {self._address} are not protected as it is:\n" + bulleted(faults))
+
     def _check_workers(self) -> None:
         try:
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER_SECONDS)
         except TimeoutError:
             raise ClusterError(
                 f"the Dask scheduler at {self._address} has no workers, and none came in {_FIRST_WORKER_SECONDS:g} s: "
-                f"start some with `dask worker {self._address}`"
+                f"start some with `dask worker {self._address}{worker_options(self._address)}`"
             ) from None
         ask = partial(self._client.get_versions, packages=["symsol-annot", *DECIDE_BYTES])
         versions: Any = _answer_of(ask)
+        self._check_encryption(versions["workers"])
         faults = worker_faults({worker: about["packages"] for worker, about in versions["workers"].items()})
         if faults:
             raise ClusterError(
@@ -180,32 +206,3 @@ def _answer_of(ask: Callable[[], Any]) -> Any:
 
     threading.Thread(target=wait, daemon=True).start()
     return answer.result(_ANSWER_SECONDS)
-
-
-@contextmanager
-def _silent_dask() -> Iterator[None]:
-    """Keep Dask's client from printing tracebacks of what becomes a ClusterError here."""
-    logs = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
-    levels = [log.level for log in logs]
-    for log in logs:
-        log.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for log, level in zip(logs, levels, strict=True):
-            log.setLevel(level)
-
-
-def address_in(scheduler_file: Path) -> str:
-    """Return the address in a file that `dask scheduler --scheduler-file` wrote.
-
-    Raises:
-        ClusterError: it holds none.
-    """
-    try:
-        return str(json.loads(scheduler_file.read_text())["address"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ClusterError(
-            f"{scheduler_file}: holds no address of a scheduler ({type(error).__name__}: {error}); "
-            f"`dask scheduler --scheduler-file {scheduler_file}` writes one"
-        ) from None

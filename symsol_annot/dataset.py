@@ -6,10 +6,11 @@ sample.image, sample.symmetry_set
 """
 
 import contextlib
+import copy
 import os
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, overload
@@ -17,11 +18,13 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.chunks import HDF5_ERRORS, ByteFile, Rows, identity_of, whole
+from symsol_annot.chunks import ByteFile
 from symsol_annot.closing import Closing
-from symsol_annot.errors import DataError, NotAnnotatedError, bulleted
-from symsol_annot.manifest import SPLITS, Manifest, read_manifest
-from symsol_annot.shards import header_mismatches, open_shard
+from symsol_annot.errors import DamageError, DataError, NotAnnotatedError
+from symsol_annot.manifest import Manifest, read_manifest
+from symsol_annot.names import SPLITS
+from symsol_annot.shard_laws import checked_shard
+from symsol_annot.shards import GROUP, Shard
 from symsol_annot.so3 import Rotations, turned
 
 MAX_OPEN_SHARDS = 8
@@ -96,16 +99,18 @@ class Labels:
 class Dataset(Closing, Sequence[Sample]):
     """A split of a set as a sequence of samples, read when asked for.
 
-    A shard is checked and its labels are read at its first use; after that an image costs one read and one inflating.
+    At its first use a shard is checked, its SHA-256 and the laws of its labels too, and its labels are read; after that
+    an image costs one read and one inflating.
     A dataset may be used by several threads at once, pickled, and handed to worker processes, forked or spawned. A
     slice is a dataset over the same files.
     """
 
-    def __init__(self, folder: Path, split: str, manifest: Manifest, rows: range | None = None) -> None:
-        self.folder, self.split, self.manifest = folder, split, manifest
+    def __init__(self, folder: Path, split: str, manifest: Manifest, *, check: bool = True) -> None:
+        self.folder, self.split, self.manifest, self._check = folder, split, manifest, check
+        self._place = Path(os.path.abspath(folder))  # noqa: PTH100 - stays right in another working folder
         self._entries = manifest.of_split(split)
         self._starts = [entry.first_index for entry in self._entries]
-        self._rows = range(manifest.images(split)) if rows is None else rows
+        self._rows = range(manifest.images(split))
         self._shards: dict[int, _Shard] = {}
         self._open: OrderedDict[int, ByteFile] = OrderedDict()  # of those, the files used last
 
@@ -171,7 +176,9 @@ class Dataset(Closing, Sequence[Sample]):
 
     def __getitem__(self, item: int | slice) -> "Sample | Dataset":
         if isinstance(item, slice):
-            return Dataset(self.folder, self.split, self.manifest, self._rows[item])
+            part = copy.copy(self)
+            part.__dict__ |= {"_rows": self._rows[item], "_shards": {}, "_open": OrderedDict()}
+            return part
         try:
             index = self._rows[item]
         except IndexError:
@@ -192,7 +199,8 @@ class Dataset(Closing, Sequence[Sample]):
     def _labels_of(self, number: int) -> tuple[npt.NDArray[Any], ...]:
         shard, _ = self._opened(number)
         if not np.array_equal(shard.symmetry_group, self.symmetry_group):
-            raise DataError(f"{self.folder / self._entries[number].file}: its symmetry_group is not the first shard's")
+            path = self.folder / self._entries[number].file
+            raise DataError(f"{path}: its symmetry_group is not the first shard's")
         return shard.labels()
 
     def close(self) -> None:
@@ -202,39 +210,35 @@ class Dataset(Closing, Sequence[Sample]):
 
     def _opened(self, number: int) -> "tuple[_Shard, ByteFile]":
         """Return a shard and its open file; whatever other threads do meanwhile, both are good to read from."""
-        shard = self._shards.get(number)
+        shard, file = self._shards.get(number), self._open.pop(number, None)
         if shard is None:
-            entry = self._entries[number]
-            expected = self.manifest.expected_attributes(entry)
-            shard = self._shards[number] = _Shard(self.folder / entry.file, entry.images, expected)
-        file = self._open.pop(number, None)
+            shard, file = self._opened_first(number)
         if file is None:
-            while len(self._open) >= MAX_OPEN_SHARDS:
-                with contextlib.suppress(KeyError):  # another thread was faster
-                    self._open.popitem(last=False)
             file = shard.open()
+        while len(self._open) >= MAX_OPEN_SHARDS:
+            with contextlib.suppress(KeyError):  # another thread was faster
+                self._open.popitem(last=False)
         self._open[number] = file
         return shard, file
+
+    def _opened_first(self, number: int) -> "tuple[_Shard, ByteFile]":
+        """Check a shard, and return it with the file that was checked."""
+        entry = self._entries[number]
+        opened, labels = checked_shard(self._place, self.manifest, entry, check=self._check)
+        shard = self._shards[number] = _Shard(opened, labels, entry.first_index)
+        return shard, opened.file
 
 
 class _Shard:
     """What is known of a shard that was checked: its labels, and where its images lie."""
 
-    def __init__(self, path: Path, images: int, expected: dict[str, Any]) -> None:
-        self._path = path
-        with open_shard(path) as file:
-            _check_header(file, path, images, expected)
-            self._identity = identity_of(file)
-            self._first_index = int(file.attrs["first_index"])
-            self._tolerance_px = float(file.attrs.get("tolerance_px", np.nan))
-            self._image, self._rotation = self._read(file, "image", Rows), self._read(file, "rotation")
-            self._segmentation, self._pixels = None, np.full(images, np.nan, dtype=np.float32)
-            self._is_imported = "source" in file.attrs
-            if not self._is_imported:
-                self._segmentation = self._read(file, "segmentation", Rows)
-                self._pixels = self._read(file, "marking_pixels")
-            self._mask = self._read(file, "symmetry_mask") if "symmetry_mask" in file else None
-            self.symmetry_group: Rotations = self._read(file, "symmetry_group")
+    def __init__(self, shard: Shard, labels: Mapping[str, Any], first_index: int) -> None:
+        self._path, self._identity, self._first_index = shard.path, shard.file.identity, first_index
+        self._tolerance_px = float(shard.attributes.get("tolerance_px", np.nan))
+        self._image, self._segmentation = shard.arrays["image"], shard.arrays.get("segmentation")
+        self._rotation, self._mask = labels["rotation"], labels.get("symmetry_mask")
+        self._pixels = labels.get("marking_pixels", np.full(len(shard), np.nan, dtype=np.float32))
+        self.symmetry_group: Rotations = labels[GROUP]
         self.symmetry_group.setflags(write=False)  # all samples share it
 
     def open(self) -> ByteFile:
@@ -249,29 +253,26 @@ class _Shard:
 
     def sample(self, index: int, file: ByteFile) -> Sample:
         row = index - self._first_index
-        pixels = float(self._pixels[row])
-        return Sample(
-            index=index,
-            image=self._image.read(row, file),
-            segmentation=self._segmentation and self._segmentation.read(row, file),
-            rotation=self._rotation[row].copy(),
-            marking_pixels=pixels,
-            marking_visible=None if self._is_imported else pixels >= self._tolerance_px,  # False where that is NaN
-            symmetry_mask=None if self._mask is None else self._mask[row].copy(),
-            symmetry_group=self.symmetry_group,
-        )
+        pixels, is_imported = float(self._pixels[row]), self._segmentation is None
+        try:
+            return Sample(
+                index=index,
+                image=self._image.row(row, file),
+                segmentation=None if self._segmentation is None else self._segmentation.row(row, file),
+                rotation=self._rotation[row].copy(),
+                marking_pixels=pixels,
+                marking_visible=None if is_imported else pixels >= self._tolerance_px,  # False where that is NaN
+                symmetry_mask=None if self._mask is None else self._mask[row].copy(),
+                symmetry_group=self.symmetry_group,
+            )
+        except DamageError as error:
+            raise DataError(f"{self._path}: {error}. `symsol-annot verify` checks the whole set") from None
 
     def labels(self) -> tuple[npt.NDArray[Any], ...]:
         """Return rotation, symmetry_mask, marking_pixels and whether the marking shows, of all rows."""
         if self._mask is None:
             raise DataError(f"{self._path}: labels cannot be read: it has no symmetry_mask")
         return self._rotation, self._mask, self._pixels, self._pixels >= self._tolerance_px
-
-    def _read(self, file: Any, name: str, how: Callable[[Any], Any] = whole) -> Any:
-        try:
-            return how(file[name])
-        except HDF5_ERRORS as error:
-            raise DataError(f"{self._path}: {name} cannot be read: {error}") from None
 
 
 def _without_sets(is_imported: bool) -> str:  # noqa: FBT001
@@ -281,22 +282,15 @@ def _without_sets(is_imported: bool) -> str:  # noqa: FBT001
     return "was rendered without symmetry sets; `symsol-annot render --annotate all` gives every split its sets"
 
 
-def _check_header(file: Any, path: Path, images: int, expected: dict[str, Any]) -> None:
-    faults = header_mismatches(file, expected)
-    if len(file["rotation"]) != images:
-        faults.append(f"expected {images} images, found {len(file['rotation'])}")
-    if faults:
-        raise DataError(f"{path}: is no shard of this set:\n" + bulleted(faults))
-
-
-def load(folder: str | os.PathLike[str], split: str = "test") -> Dataset:
+def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = True) -> Dataset:
     """Open a split of a set, like `load("data/cylO", split="test")`.
 
     Args:
-        folder: the set's folder, which holds its manifest.json.
+        folder: the set's folder, which holds its manifest.json; a relative path is one of the present working folder.
         split: "train" or "test".
-
-    Each image that is read is checked against gzip's adler32, but no SHA-256 is compared: `symsol-annot verify` does.
+        check: whether a shard's size and SHA-256 are compared with the manifest's at its first use, which reads all of
+            it once. For a huge set that `symsol-annot verify` has checked, `check=False` leaves that out; structure and
+            labels are checked nonetheless, and each image that is read against gzip's adler32.
 
     Raises:
         DataError: the folder holds no set, the split is not in it, or shards of it are missing.
@@ -313,4 +307,4 @@ def load(folder: str | os.PathLike[str], split: str = "test") -> Dataset:
             f"{path}: {len(missing)} of {len(entries)} {split} shards are missing, the first {missing[0]}; "
             f"the same `symsol-annot {'import-symsol' if manifest.is_imported else 'render'}` command makes them"
         )
-    return Dataset(path, split, manifest)
+    return Dataset(path, split, manifest, check=check)

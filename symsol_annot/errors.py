@@ -6,6 +6,7 @@
     ├── SettingsError           a number that makes no sense: a negative count, a size of 0
     ├── RotationError           an array that should hold rotations does not
     ├── DataError               a shard, a manifest or a folder of them is missing or damaged
+    │   ├── DamageError             a chunk's bytes, or what HDF5 says of a file in its child process
     │   ├── DifferentSetError   the output folder already holds another set
     │   └── NotAnnotatedError   symmetry sets asked of a split that was rendered without
     ├── PredictionsError        a predictions file is broken, or about another set
@@ -24,7 +25,10 @@
 Every message says what was expected, what was found, where, and what to do next.
 """
 
-from collections.abc import Sequence
+import contextlib
+import errno
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 
 def bulleted(lines: Sequence[str]) -> str:
@@ -43,8 +47,21 @@ def first_of(names: Sequence[str], shown: int) -> str:
     return ", ".join(names[:shown]) + more
 
 
+def printable(text: str) -> str:
+    """Return a text of which nothing can act on a terminal: what is not printable becomes Python's escapes.
+
+    Line ends and tabs stay. Names and words in messages come from files that somebody may have forged.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
+
+
 class SymsolError(Exception):
-    """The root of this package's exceptions."""
+    """The root of this package's exceptions; their text is `printable`."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class ObjectError(SymsolError):
@@ -65,6 +82,10 @@ class RotationError(SymsolError):
 
 class DataError(SymsolError):
     """A shard, a manifest or a folder of them is missing or damaged."""
+
+
+class DamageError(DataError):
+    """A chunk is damaged, or a file of which HDF5 says so in its child process; whoever reads the file names it."""
 
 
 class DifferentSetError(DataError):
@@ -140,3 +161,21 @@ class RendererCrashedError(RenderError):
 
 class RendererHungError(RendererCrashedError):
     """Blender's process gave no sign of life, and was ended."""
+
+
+@contextlib.contextmanager
+def output_errors(path: Path) -> Iterator[None]:
+    """Turn the operating system's errors into an OutputError that names the path and what to do."""
+    try:
+        yield
+    except OSError as error:
+        advice = {
+            errno.ENOSPC: "the disk is full: make room, then run the same command again",
+            errno.EDQUOT: "the disk quota is used up: make room, then run the same command again",
+            errno.EACCES: "no write permission: choose another folder with --out, or change its permissions",
+            errno.EPERM: "no write permission: choose another folder with --out, or change its permissions",
+            errno.EROFS: "the file system is read-only: choose another folder with --out",
+            errno.ENOTDIR: "a part of the path is a file, not a folder: choose another folder with --out",
+            errno.EEXIST: "is a file, not a folder: choose another folder with --out",
+        }.get(error.errno or 0, error.strerror or str(error))
+        raise OutputError(f"{path}: cannot be written: {advice}") from None

@@ -1,42 +1,56 @@
-"""Writing files and folders so that a reader never sees half of one."""
+"""Writing files and folders so that a reader never sees half of one, and nothing of anybody else's is lost.
+
+What is being written lies in a scratch folder beside its place until it is whole, and is renamed then.
+"""
 
 import contextlib
 import errno
-import hashlib
 import os
 import shutil
+import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from symsol_annot.errors import OutputError
+from symsol_annot.errors import OutputError, output_errors
+from symsol_annot.scratch import WAITING, Scratch, sweep, sweep_once
 
-PARTIAL_SUFFIX = ".partial"
+_NEW, _SUPERSEDED = "new", "superseded"  # names in a scratch folder
+_SYSTEM_FOLDERS = (Path("/dev"), Path("/proc"))
+_BLOCK_BYTES = 2**20
 
 
 @contextlib.contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """Give a name beside a file's own; what is written there takes the file's place, or goes at an error or Ctrl-C.
+    """Give a name in a scratch folder; what is written there takes the file's place, or goes at an error or Ctrl-C.
+
+    A link stays a link: the file that it leads to is replaced. A file that is there keeps its mode. What is there and
+    no regular file, like a pipe or /dev/stdout, stays what it is: the bytes are written to it at the end.
 
     Whoever writes sees to it that the bytes reached the disk (`os.fsync`).
 
     Raises:
         OutputError: the disk is full or the folder not writable.
     """
-    partial = _beside(path, PARTIAL_SUFFIX)
     with output_errors(path):
-        partial.unlink(missing_ok=True)  # a killed run's, or a link to elsewhere
-        try:
-            yield partial
-            partial.replace(path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                partial.unlink()
-            raise
+        if _is_written_through(path):
+            with Scratch() as scratch:
+                yield scratch.path / _NEW
+                _write_through(scratch.path / _NEW, path)
+            return
+        target = Path(os.path.realpath(path))
+        _refuse_folder(target)
+        sweep_once(target.parent)
+        with Scratch(beside=target.parent) as scratch:
+            new = scratch.path / _NEW
+            yield new
+            with contextlib.suppress(FileNotFoundError):  # no file is there yet
+                shutil.copymode(target, new)
+            new.replace(target)
 
 
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """Give an empty folder beside a name, which it gets once it is whole; at an error or Ctrl-C it goes.
+    """Give an empty folder in a scratch folder, which gets its name once it is whole; at an error or Ctrl-C it goes.
 
     Args:
         path: where nothing is, or an empty folder; nobody else writes it meanwhile.
@@ -44,63 +58,63 @@ def new_folder(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the disk is full or the folder around it not writable, or something was put there meanwhile.
     """
-    partial = _beside(path, PARTIAL_SUFFIX)
     with output_errors(path):
-        if partial.exists():  # a killed run left it
-            shutil.rmtree(partial)
-        try:
-            partial.mkdir()
-            yield partial
+        sweep_once(path.parent)
+        with Scratch(beside=path.parent) as scratch:
+            new = scratch.path / _NEW
+            new.mkdir()
+            yield new
             if path.exists():
                 path.rmdir()
-            partial.rename(path)
-        except BaseException:
-            shutil.rmtree(partial, ignore_errors=True)
-            raise
+            new.rename(path)
 
 
 @contextlib.contextmanager
 def replaced_folder(path: Path) -> Iterator[Path]:
-    """Give the same beside a folder that may hold something, which is removed once the new one is whole."""
-    before = _beside(path, ".before")
+    """Give an empty folder, for which a folder that is there is removed once it is whole.
+
+    Whoever calls has proved that all that is in the folder was made by this program. A run that is killed while the
+    folder has no name leaves it waiting in the scratch folder, and the next run's sweep gives it its name back.
+    """
     with output_errors(path):
-        _bring_back(before, path)  # where a run was killed between two names
-    try:
-        with new_folder(path) as partial:
-            yield partial
+        sweep(path.parent)
+        with Scratch(beside=path.parent) as scratch:
+            new, waiting = scratch.path / _NEW, scratch.path / WAITING
+            new.mkdir()
+            yield new
+            waiting.mkdir()
             if path.exists():
-                path.rename(before)
-    except BaseException:
-        with output_errors(path):
-            _bring_back(before, path)
-        raise
-    shutil.rmtree(before, ignore_errors=True)
+                path.rename(waiting / path.name)
+            new.rename(path)
+            waiting.rename(scratch.path / _SUPERSEDED)
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write beside the name, make sure it reached the disk, and rename into place.
+    """Write a file as `replaced` does, and make sure that it reached the disk.
 
     Raises:
         OutputError: the disk is full or the folder not writable; nothing is left beside the name.
     """
-    with replaced(path) as partial, partial.open("xb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    with output_errors(path):
-        _sync_folder(path.parent)
+    with written_atomically(path, data):
+        pass
 
 
-def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a regular file, as hexadecimal.
+@contextlib.contextmanager
+def written_atomically(path: Path, data: bytes) -> Iterator[Path]:
+    """Write a file that gets its name at the end of the block, in which it may be looked at; at an error it goes.
 
     Raises:
-        OSError: it is missing, unreadable, or no regular file: a pipe or a device would never end.
+        OutputError: as `write_atomically`.
     """
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "is no regular file")
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    with replaced(path) as new:
+        with new.open("xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        yield new
+    with output_errors(path):
+        if not _is_written_through(path):
+            _sync_folder(Path(os.path.realpath(path)).parent)
 
 
 def make_folder(path: Path) -> None:
@@ -134,45 +148,29 @@ def check_inside(folder: Path, names: Iterable[str]) -> None:
         )
 
 
-def remove_partial_files(folder: Path) -> None:
-    """Remove what a killed run left half-written."""
-    with output_errors(folder):
-        for partial in folder.glob(f".*{PARTIAL_SUFFIX}"):
-            partial.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def output_errors(path: Path) -> Iterator[None]:
-    """Turn the operating system's errors into an OutputError that names the path and what to do."""
+def _is_written_through(path: Path) -> bool:
+    """Tell whether something is there that a regular file must not take the place of."""
     try:
-        yield
-    except OSError as error:
-        advice = {
-            errno.ENOSPC: "the disk is full: make room, then run the same command again",
-            errno.EDQUOT: "the disk quota is used up: make room, then run the same command again",
-            errno.EACCES: "no write permission: choose another folder with --out, or change its permissions",
-            errno.EPERM: "no write permission: choose another folder with --out, or change its permissions",
-            errno.EROFS: "the file system is read-only: choose another folder with --out",
-            errno.ENOTDIR: "a part of the path is a file, not a folder: choose another folder with --out",
-            errno.EEXIST: "is a file, not a folder: choose another folder with --out",
-        }.get(error.errno or 0, error.strerror or str(error))
-        raise OutputError(f"{path}: cannot be written: {advice}") from None
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_ISDIR(mode):
+        return False
+    given = Path(os.path.abspath(path))  # noqa: PTH100 - /dev/stdout leads to a file, which is somebody's output
+    return not stat.S_ISREG(mode) or any(folder in given.parents for folder in _SYSTEM_FOLDERS)
 
 
-def _beside(path: Path, suffix: str) -> Path:
-    return path.with_name(f".{path.name}{suffix}")
+def _write_through(new: Path, path: Path) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
+    with new.open("rb") as source, os.fdopen(descriptor, "wb", buffering=0) as target:
+        while block := memoryview(source.read(_BLOCK_BYTES)):
+            while block:
+                block = block[target.write(block) :]
 
 
-def _bring_back(before: Path, path: Path) -> None:
-    """Give a folder that was moved away its name again, or remove it where the new one has come."""
-    if not before.exists():
-        return
-    if path.exists() and any(path.iterdir()):
-        shutil.rmtree(before, ignore_errors=True)
-        return
-    if path.exists():
-        path.rmdir()
-    before.rename(path)
+def _refuse_folder(target: Path) -> None:
+    if target.is_dir():
+        raise OutputError(f"{target}: cannot be written: is a folder, where a file is to be: choose another name")
 
 
 def _sync_folder(folder: Path) -> None:

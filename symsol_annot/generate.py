@@ -5,7 +5,6 @@ same whoever made it and in whatever order. This process alone writes to the fol
 """
 
 import hashlib
-import io
 import threading
 from collections import Counter, deque
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -13,7 +12,14 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from symsol_annot.errors import ClusterError, DataError, DifferentSetError, RendererCrashedError
+from symsol_annot.errors import (
+    ClusterError,
+    DataError,
+    DifferentSetError,
+    RendererCrashedError,
+    bulleted,
+    output_errors,
+)
 from symsol_annot.events import (
     ImagesMade,
     OnEvent,
@@ -25,19 +31,15 @@ from symsol_annot.events import (
     ignore,
 )
 from symsol_annot.executors import Executor, OpenExecutor
-from symsol_annot.files import (
-    check_inside,
-    file_sha256,
-    make_folder,
-    output_errors,
-    remove_partial_files,
-    write_atomically,
-)
+from symsol_annot.files import check_inside, make_folder, written_atomically
 from symsol_annot.locks import held_folder
-from symsol_annot.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, shards_in, write_manifest
 from symsol_annot.plan import SetPlan
+from symsol_annot.reading import file_sha256
+from symsol_annot.scratch import sweep
+from symsol_annot.shard_laws import label_faults, labels_of, membership_faults
 from symsol_annot.shard_maker import MadeShard
-from symsol_annot.shards import header_mismatches, open_shard, versions_of
+from symsol_annot.shards import header_mismatches, open_shard
 
 MAX_CRASHES_PER_SHARD = 2
 _AHEAD = 1  # shards that wait beyond those being made, so that no worker waits for this process
@@ -78,7 +80,7 @@ def generate(
             _refuse_foreign(folder, manifest, [entry for entry in todo if not entry.is_finished])
         total, left = (sum(entry.images for entry in entries) for entries in (manifest.shards, todo))
         on_event(Started(total, len(manifest.shards), total - left, len(manifest.shards) - len(todo)))
-        strangers = {path.name for path in folder.glob("*.h5")} - {entry.file for entry in manifest.shards}
+        strangers = set(shards_in(folder)) - {entry.file for entry in manifest.shards}
         if strangers:
             on_event(StrangersFound(tuple(sorted(strangers))))
         if todo:
@@ -99,7 +101,7 @@ def _open_set(plan: SetPlan, folder: Path) -> Manifest:
     planned = plan.manifest()
     with output_errors(folder):
         is_there = (folder / MANIFEST_NAME).exists()
-        foreign = sorted(path.name for path in folder.glob("*.h5")) if folder.is_dir() else []
+        foreign = shards_in(folder) if folder.is_dir() else []
     if is_there:
         manifest = read_manifest(folder)
         differences = planned.differences(manifest)
@@ -112,8 +114,9 @@ def _open_set(plan: SetPlan, folder: Path) -> Manifest:
 
 
 def _is_whole(folder: Path, entry: ShardEntry) -> bool:
+    path = folder / entry.file
     try:
-        return file_sha256(folder / entry.file) == entry.sha256
+        return path.stat().st_size == entry.bytes and file_sha256(path) == entry.sha256
     except OSError:
         return False
 
@@ -146,6 +149,10 @@ def _is_foreign(path: Path, expected: dict[str, object]) -> bool:
             return bool(header_mismatches(shard, expected))
     except DataError:
         return True
+
+
+def _where(entry: ShardEntry, made: MadeShard) -> str:
+    return f"{entry.file}, as it arrived from {made.worker or 'its worker'}"
 
 
 def _differences(there: dict[str, str], here: dict[str, str]) -> list[str]:
@@ -223,15 +230,22 @@ class _Run:
     def _keep(self, entry: ShardEntry, made: MadeShard) -> None:
         """Check a shard on its arrival, and put it into the folder."""
         path = self._folder / entry.file
-        self._check_arrival(entry, made)
-        self._prepare_folder()
+        if hashlib.sha256(made.data).hexdigest() != made.sha256:
+            raise DataError(
+                f"{_where(entry, made)}: its bytes are not those that were made; the same command makes it again"
+            )
         if entry.is_finished and made.sha256 != entry.sha256:
             raise DataError(
                 f"{path}: made again, its SHA-256 is {made.sha256}, not {entry.sha256} as the manifest says: other "
                 "software made the set. Fetch the shard again, or render the set anew"
             )
         if self._is_to_be_written(entry, made):
-            write_atomically(path, made.data)
+            with written_atomically(path, made.data) as new:
+                self._check_arrival(entry, made, new)
+                self._prepare_folder()
+        else:
+            self._check_arrival(entry, made, path)
+            self._prepare_folder()
         self._manifest = self._manifest.with_finished(
             replace(entry, bytes=len(made.data), sha256=made.sha256, content_sha256=made.content_sha256)
         )
@@ -253,23 +267,28 @@ class _Run:
             )
         return True
 
-    def _check_arrival(self, entry: ShardEntry, made: MadeShard) -> None:
+    def _check_arrival(self, entry: ShardEntry, made: MadeShard, path: Path) -> None:
         """Refuse a shard that is not the one asked for, or made with other software than the set's others.
 
+        Args:
+            entry: what was asked for.
+            made: what came.
+            path: a file of those bytes.
+
         Raises:
-            DataError: its bytes are not those that were made, or not of this shard.
+            DataError: it is no shard, or not this one, or its labels break a law.
             DifferentSetError: other software would make other bytes.
         """
-        where = f"{entry.file}, as it arrived from {made.worker or 'its worker'}"
-        if hashlib.sha256(made.data).hexdigest() != made.sha256:
-            raise DataError(f"{where}: its bytes are not those that were made; the same command makes it again")
-        with open_shard(Path(entry.file), io.BytesIO(made.data)) as shard:
-            wrong = header_mismatches(shard, self._manifest.expected_attributes(entry))
-            if len(shard["rotation"]) != entry.images:
-                wrong.append(f"expected {entry.images} images, found {len(shard['rotation'])}")
-            if wrong:
-                raise DataError(f"{where}: is another shard: {'; '.join(wrong)}")
-            self._check_software(made, versions_of(shard))
+        try:
+            with open_shard(path) as shard:
+                versions = shard.versions
+                wrong = [*membership_faults(shard, self._manifest, entry)]
+                wrong = wrong or [*label_faults(shard, labels_of(shard))]
+        except DataError as error:  # which names a file that is gone by then
+            raise DataError(f"{_where(entry, made)}: {str(error).removeprefix(f'{path}: ')}") from None
+        if wrong:
+            raise DataError(f"{_where(entry, made)}: is another shard, or damaged:\n" + bulleted(wrong))
+        self._check_software(made, versions)
 
     def _check_software(self, made: MadeShard, versions: dict[str, str]) -> None:
         if not self._versions:
@@ -289,12 +308,12 @@ class _Run:
         for entry in self._manifest.shards:
             if entry.is_finished and _is_whole(self._folder, entry):
                 with open_shard(self._folder / entry.file) as shard:
-                    return versions_of(shard)
+                    return shard.versions
         return None
 
     def _prepare_folder(self) -> None:
         """Write the manifest before the first shard, but only once there is one."""
         if not self._is_prepared:
-            remove_partial_files(self._folder)
+            sweep(self._folder)
             write_manifest(self._folder, self._manifest)
             self._is_prepared = True

@@ -8,13 +8,14 @@ Implicit-PDF and of projects on e3nn (Image2Sphere), whose grids are the same ro
 
 from collections.abc import Iterator
 from functools import lru_cache
+from typing import Any, TypeVar
 
 import healpix
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from symsol_annot.errors import SettingsError
+from symsol_annot.errors import RotationError, SettingsError
 from symsol_annot.so3 import Rotations, rotation_to_quat_wxyz, rotations_about, rotations_sha256
 
 MAX_LEVEL = 6
@@ -22,9 +23,11 @@ STANDARD_LEVEL = 4  # 294,912 rotations, 3.75 degrees from tilt to tilt
 
 _ROUNDING_RAD = 1e-9
 
-# Each takes the axes of one composition to those of the next: Rx Rz Rx and Ry Rx Ry become Rz Ry Rz.
-_FROM_IMPLICIT_PDF = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-_FROM_E3NN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+# Which of their axes is our x, y and z: Rx Rz Rx and Ry Rx Ry become Rz Ry Rz.
+_FROM_IMPLICIT_PDF, _FROM_E3NN = (1, 2, 0), (2, 0, 1)
+_TO_IMPLICIT_PDF, _TO_E3NN = (2, 0, 1), (1, 2, 0)
+
+Real = TypeVar("Real", bound=np.floating[Any])
 
 
 def grid_size(level: int) -> int:
@@ -63,24 +66,37 @@ def _slices(level: int) -> Iterator[Rotations]:
         yield to_direction @ tilt
 
 
-def implicit_pdf_to_grid_frame(R: Rotations) -> Rotations:
-    """Turn rotations (..., 3, 3) from Implicit-PDF's axes into ours, in which its grid is this grid, index by index."""
-    return _FROM_IMPLICIT_PDF @ R @ _FROM_IMPLICIT_PDF.T
+def implicit_pdf_to_grid_frame(R: npt.NDArray[Real]) -> npt.NDArray[Real]:
+    """Turn rotations from Implicit-PDF's axes into ours, in which its grid is this grid, index by index.
+
+    Args:
+        R: (..., 3, 3) rotations of any floating type.
+
+    Returns:
+        (..., 3, 3) the same numbers at other places, so of the same type and as exact as they were.
+
+    Raises:
+        RotationError: the trailing shape is not (3, 3).
+    """
+    return _with_axes(R, _FROM_IMPLICIT_PDF)
 
 
-def grid_frame_to_implicit_pdf(R: Rotations) -> Rotations:
+def grid_frame_to_implicit_pdf(R: npt.NDArray[Real]) -> npt.NDArray[Real]:
     """Undo `implicit_pdf_to_grid_frame`."""
-    return _FROM_IMPLICIT_PDF.T @ R @ _FROM_IMPLICIT_PDF
+    return _with_axes(R, _TO_IMPLICIT_PDF)
 
 
-def e3nn_to_grid_frame(R: Rotations) -> Rotations:
-    """Turn rotations (..., 3, 3) from e3nn's axes into ours, in which its grid is this grid, index by index."""
-    return _FROM_E3NN @ R @ _FROM_E3NN.T
+def e3nn_to_grid_frame(R: npt.NDArray[Real]) -> npt.NDArray[Real]:
+    """Turn rotations from e3nn's axes into ours, in which its grid is this grid, index by index.
+
+    Shapes, types and errors are those of `implicit_pdf_to_grid_frame`.
+    """
+    return _with_axes(R, _FROM_E3NN)
 
 
-def grid_frame_to_e3nn(R: Rotations) -> Rotations:
+def grid_frame_to_e3nn(R: npt.NDArray[Real]) -> npt.NDArray[Real]:
     """Undo `e3nn_to_grid_frame`."""
-    return _FROM_E3NN.T @ R @ _FROM_E3NN
+    return _with_axes(R, _TO_E3NN)
 
 
 def ring_to_nested(level: int = STANDARD_LEVEL) -> npt.NDArray[np.int64]:
@@ -89,6 +105,15 @@ def ring_to_nested(level: int = STANDARD_LEVEL) -> npt.NDArray[np.int64]:
     tilt, direction = np.divmod(np.arange(grid_size(level)), directions)
     nested: npt.NDArray[np.int64] = tilt * directions + healpix.ring2nest(2**level, direction)
     return nested
+
+
+def _with_axes(R: npt.NDArray[Real], axes: tuple[int, int, int]) -> npt.NDArray[Real]:
+    """Return P R P^T for the permutation P of axes, without arithmetic."""
+    given = np.asarray(R)
+    if given.shape[-2:] != (3, 3):
+        raise RotationError(f"rotations: expected an array of shape (..., 3, 3), found {given.shape}")
+    order = list(axes)
+    return given[..., order, :][..., order]
 
 
 class GridIndex:

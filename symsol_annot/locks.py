@@ -1,52 +1,106 @@
 """Folders held by one process alone."""
 
 import contextlib
+import enum
+import logging
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from symsol_annot.errors import OutputError
-from symsol_annot.files import output_errors
+from symsol_annot.errors import OutputError, output_errors
 
 if sys.platform != "win32":
     import fcntl
+
+_LOG = logging.getLogger(__name__)
+
+
+class Held(enum.Enum):
+    """Who holds a lock."""
+
+    HERE = "this process, from now on"
+    ELSEWHERE = "another process"
+    UNKNOWN = "nobody can tell: this file system has no locks"
 
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Hold a folder for this process alone; the lock ends with the process and leaves no file.
 
-    A file system without such locks (some network ones) lets everybody in; two processes then make the same bytes.
+    A file system without such locks (some network ones) lets everybody in; that is logged as a warning.
 
     Raises:
         OutputError: another process holds it, or it cannot be opened.
+        FileNotFoundError: it was removed, by whoever held it before.
     """
     if sys.platform == "win32":  # has no such lock
+        _warn_of_no_locks(folder)
         yield
         return
-    with output_errors(folder):
-        descriptor = os.open(folder, os.O_RDONLY)
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
-        if not try_lock(descriptor):
+        held = try_lock(descriptor)
+        if held is Held.ELSEWHERE:
             raise OutputError(
                 f"{folder}: another process{_lock_holder(descriptor)} is writing there right now; wait for it, or "
-                "choose another folder with --out"
+                "choose another place with --out"
             )
+        if held is Held.UNKNOWN:
+            _warn_of_no_locks(folder)
+        elif not os.path.samestat(os.fstat(descriptor), os.stat(folder)):  # noqa: PTH116 - the one before was removed
+            raise FileNotFoundError(folder)
         yield
     finally:
         os.close(descriptor)
 
 
-def try_lock(descriptor: int) -> bool:
-    """Lock an open file or folder until it is closed; False where somebody else holds it."""
+def try_lock(descriptor: int) -> Held:
+    """Lock an open file or folder until it is closed, where nobody else holds it."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        return False
-    except OSError:  # this file system has no locks
-        return True
-    return True
+        return Held.ELSEWHERE
+    except OSError:  # ENOLCK, ENOTSUP, and EBADF from NFS, which locks no folders
+        return Held.UNKNOWN
+    return Held.HERE
+
+
+@contextlib.contextmanager
+def held_folder(path: Path) -> Iterator[None]:
+    """Hold a folder for this process alone, made where it is missing and removed again where nothing was put in it.
+
+    Raises:
+        OutputError: it cannot be made, or another process holds it.
+    """
+    with contextlib.ExitStack() as stack:
+        made: list[Path] = []
+        stack.callback(_remove_empty, made)
+        for is_last in (False, False, True):  # another process may remove it, empty, between its making and its locking
+            with output_errors(path):
+                made += [folder for folder in (path, *path.parents) if not folder.exists() and folder not in made]
+                path.mkdir(parents=True, exist_ok=True)
+                try:
+                    stack.enter_context(locked(path))
+                    break
+                except FileNotFoundError:
+                    if is_last:
+                        raise
+        yield
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    with contextlib.suppress(OSError):  # one holds something
+        for folder in folders:
+            folder.rmdir()
+
+
+def _warn_of_no_locks(folder: Path) -> None:
+    _LOG.warning(
+        "%s: this file system has no locks, so whether another process writes there cannot be told; "
+        "see to it that none does",
+        folder,
+    )
 
 
 def _lock_holder(descriptor: int) -> str:
@@ -58,24 +112,5 @@ def _lock_holder(descriptor: int) -> str:
             words = line.split()  # number, kind, mode, access, process, device:device:inode, start, end
             if words[1] == "FLOCK" and words[5] == wanted and int(words[4]) > 0:
                 command = Path(f"/proc/{words[4]}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-                return f" ({words[4]}: {command.strip()[:120]})"
+                return f" ({words[4]}: {' '.join(command.split())[:120]})"
     return ""
-
-
-@contextlib.contextmanager
-def held_folder(path: Path) -> Iterator[None]:
-    """Hold a folder for this process alone, made where it is missing and removed again where nothing was put in it.
-
-    Raises:
-        OutputError: it cannot be made, or another process holds it.
-    """
-    with output_errors(path):
-        made = [folder for folder in (path, *path.parents) if not folder.exists()]
-        path.mkdir(parents=True, exist_ok=True)
-    try:
-        with locked(path):
-            yield
-    finally:
-        with contextlib.suppress(OSError):  # it holds something
-            for folder in made:
-                folder.rmdir()

@@ -7,36 +7,27 @@ digest of itself. `fingerprint` names the finished set by its contents.
 import hashlib
 import json
 import math
-from dataclasses import dataclass, replace
+import re
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from types import NoneType
 from typing import Any
 
 from symsol_annot.errors import DataError, SettingsError
 from symsol_annot.files import write_atomically
-from symsol_annot.scene import Camera, RenderSettings
-from symsol_annot.shard_header import UNKNOWN_WHERE_IMPORTED, ShardHeader, shard_file_name
+from symsol_annot.names import SPLITS, is_object_name
+from symsol_annot.reading import read_bytes
+from symsol_annot.scene import SIZE_RANGE, Camera, RenderSettings
+from symsol_annot.shard_header import MAX_IMAGES_PER_SHARD, UNKNOWN_WHERE_IMPORTED, ShardHeader, shard_file_name
 
 MANIFEST_NAME = "manifest.json"
 MANIFEST_FORMAT = "symsol-annot set"
 MANIFEST_FORMAT_VERSION = 1
-SPLITS = ("train", "test")
-_RECIPE_TYPES: dict[str, Any] = {
-    "object": str,
-    "object_sha256": str,
-    "seed": int,
-    "camera": dict,
-    "render": dict,
-    "tolerance_px": float | None,
-    "annotate": str,
-}
-_ENTRY_TYPES: dict[str, Any] = {
-    "first_index": int,
-    "images": int,
-    "bytes": int | None,
-    "sha256": str | None,
-    "content_sha256": str | None,
-}
+MAX_MANIFEST_BYTES = 2**24  # 50,000 shards; JSON takes up to 25 times its size in memory
+ANNOTATE_CHOICES = ("all", "test", "none")
+MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
+_BESIDES_PIXELS_BYTES = 2**23  # of a shard: the labels of 500 images over 7,200 symmetries, the group, the attributes
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_SOURCE_NAME_CHARACTERS = 200
 
 
 @dataclass(frozen=True)
@@ -179,13 +170,15 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / MANIFEST_NAME
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, MAX_MANIFEST_BYTES)
         document = json.loads(data)
     except FileNotFoundError:
         raise DataError(f"{folder}: holds no {MANIFEST_NAME}; {_hint(folder)}") from None
     except NotADirectoryError:
         raise DataError(f"{folder}: is a file; a set is a folder, like data/cylO") from None
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: cannot be read as JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != MANIFEST_FORMAT:
         raise DataError(f"{path}: is no manifest of a set ('format' is not {MANIFEST_FORMAT!r})")
@@ -200,7 +193,7 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         manifest = _from_document(document)
         is_whole = _serialise(manifest) == data
-    except (KeyError, TypeError, ValueError, AttributeError, SettingsError):
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError, SettingsError):
         is_whole = False
     if not is_whole:
         raise DataError(
@@ -260,35 +253,90 @@ def _from_document(document: dict[str, Any]) -> Manifest:
 
 
 def _check_types(manifest: Manifest) -> None:
-    """Raise a ValueError or TypeError where a field is missing or not of its type, or shards do not follow on."""
+    """Raise a ValueError or TypeError where a setting is none, or shards do not follow on."""
     recipe = manifest.recipe
-    Camera(**recipe["camera"])
-    expected = dict(_RECIPE_TYPES)
+    expected = ["object", "object_sha256", "seed", "camera", "render", "tolerance_px", "annotate"]
+    _require(set(recipe) == {*expected, *(["source"] if manifest.is_imported else [])}, "unknown fields")
+    _require(is_object_name(recipe["object"]), "object")
+    _require(type(recipe["annotate"]) is str and recipe["annotate"] in ANNOTATE_CHOICES, "annotate")
     if manifest.is_imported:
-        expected |= {"source": dict, **dict.fromkeys(UNKNOWN_WHERE_IMPORTED, NoneType)}
+        _check_source(recipe)
     else:
-        RenderSettings.from_dict(recipe["render"])
-    fields = [(recipe[name], types) for name, types in expected.items()]
-    fields += [(recipe["camera"][name], int) for name in ("width", "height")]
-    unknown_or_real = NoneType if manifest.is_imported else float
-    fields += [(recipe["camera"][name], unknown_or_real) for name in ("distance", "focal_px")]
+        _check_rendered(recipe)
     for split in SPLITS:
         following, shards = 0, manifest.of_split(split)
         for number, shard in enumerate(shards):
             name = shard_file_name(split, number, len(shards))
-            if shard.file != name or shard.first_index != following or shard.images < 1:
-                raise ValueError(f"{shard.file!r} does not follow on the shard before it")
+            _require(type(shard.first_index) is int and type(shard.images) is int, shard.file)
+            _require(shard.file == name and shard.first_index == following, shard.file)
+            _require(1 <= shard.images <= MAX_IMAGES_PER_SHARD, shard.file)
+            _require(_is_finished_or_not(shard, recipe["camera"]), shard.file)
             following += shard.images
-            fields += [(getattr(shard, name), types) for name, types in _ENTRY_TYPES.items()]
-    if set(recipe) != set(expected):
-        raise ValueError("unknown fields")
-    for value, types in fields:
-        if not isinstance(value, types) or isinstance(value, bool):
-            raise TypeError(f"{value!r} is not of the type {types}")
+
+
+def _check_rendered(recipe: dict[str, Any]) -> None:
+    camera = recipe["camera"]
+    _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
+    _require(all(_is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
+    _require(_is_real(camera["distance"]) and camera["distance"] > 1, "camera: its distance")
+    _require(_is_real(camera["focal_px"]) and camera["focal_px"] > 0, "camera: its focal length")
+    RenderSettings.from_dict(recipe["render"])
+    _require(_is_sha256(recipe["object_sha256"]), "object_sha256")
+    _require(_is_whole(recipe["seed"], 0, MAX_SEED), "seed")
+    tolerance_px = recipe["tolerance_px"]
+    _require(tolerance_px is None or (_is_real(tolerance_px) and tolerance_px > 0), "tolerance_px")
+
+
+def _check_source(recipe: dict[str, Any]) -> None:
+    camera, source = recipe["camera"], recipe["source"]
+    _require(all(recipe[name] is None for name in UNKNOWN_WHERE_IMPORTED), "what an import cannot know")
+    _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
+    _require(all(_is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
+    _require(camera["distance"] is None and camera["focal_px"] is None, "camera")
+    texts, counts = ("name", "convention"), ("rotations_listed", "duplicates_removed")
+    _require(type(source) is dict and set(source) == {*texts, *counts, "sha256", "transposed"}, "source")
+    _require(all(_is_short_text(source[name]) for name in texts), "source")
+    _require(all(_is_whole(source[name], 0, 2**31) for name in counts), "source")
+    _require(_is_sha256(source["sha256"]) and type(source["transposed"]) is bool, "source")
+
+
+def _is_finished_or_not(shard: ShardEntry, camera: dict[str, Any]) -> bool:
+    found = (shard.bytes, shard.sha256, shard.content_sha256)
+    if found == (None, None, None):
+        return True
+    pixels = shard.images * camera["width"] * camera["height"]
+    most = _BESIDES_PIXELS_BYTES + 5 * pixels  # RGB and segmentation, which compressing hardly lengthens
+    return _is_whole(shard.bytes, 1, most) and _is_sha256(shard.sha256) and _is_sha256(shard.content_sha256)
+
+
+def _require(is_right: bool, what: str) -> None:  # noqa: FBT001
+    if not is_right:
+        raise ValueError(what)
+
+
+def _is_whole(value: Any, least: int, most: int) -> bool:
+    return type(value) is int and least <= value <= most
+
+
+def _is_real(value: Any) -> bool:
+    return type(value) is float and math.isfinite(value)
+
+
+def _is_sha256(value: Any) -> bool:
+    return isinstance(value, str) and _SHA256.fullmatch(value) is not None
+
+
+def _is_short_text(value: Any) -> bool:
+    return isinstance(value, str) and value.isprintable() and len(value) <= _SOURCE_NAME_CHARACTERS
+
+
+def shards_in(folder: Path) -> list[str]:
+    """Return the names of a folder's HDF5 files, whoever made them, but for hidden ones like macOS' ._x.h5."""
+    return sorted(path.name for path in folder.glob("*.h5") if not path.name.startswith("."))
 
 
 def _hint(folder: Path) -> str:
-    sets = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST_NAME}"))
+    sets = sorted(path.parent.name for path in folder.glob(f"[!.]*/{MANIFEST_NAME}"))
     if sets:
         return f"it has sets inside: {', '.join(str(folder / name) for name in sets)}"
     return "a set is a folder that `symsol-annot render` made, like data/cylO"

@@ -16,6 +16,7 @@ _POINTS = 32
 _ELEMENTS = 12
 _FEW_POINTS = 8  # most elements move one of a few points off the marking
 _CHUNK = 2**18
+_MAX_DISTANCES = 2**28  # of turned points to triangles of the marking: about 20 s
 
 Points = npt.NDArray[np.float64]
 
@@ -41,6 +42,12 @@ def check_object(spec: ObjectSpec) -> None:
 
 
 def _check_marking(spec: ObjectSpec, marking: Points) -> None:
+    distances = len(marking) * (_POINTS * len(spec.stabiliser) + _FEW_POINTS * len(spec.symmetry_group))
+    if distances > _MAX_DISTANCES:
+        raise ObjectError(
+            f"{spec.folder}: the marking of {spec.name!r} has {len(marking):,} triangles, too many to hold against "
+            f"{len(spec.symmetry_group):,} rotations; simplify it to {len(marking) * _MAX_DISTANCES // distances:,}"
+        )
     points = surface_points(marking)
     kept = surface_offsets(points, marking, spec.stabiliser)
     if not kept.max() <= SURFACE_TOLERANCE:

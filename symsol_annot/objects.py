@@ -6,23 +6,29 @@ spec = load_object("path/to/mug")       # a folder of the same form
 
 import difflib
 import hashlib
+import math
 import re
-import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot import so3
 from symsol_annot.errors import ObjectError, RotationError, UnknownObjectError
-from symsol_annot.mesh import Mesh, read_mesh
+from symsol_annot.mesh import MAX_MESH_BYTES, Mesh, parse_mesh, read_object_file
+from symsol_annot.names import OBJECT_NAME_RULE, is_object_name
+from symsol_annot.toml import MAX_TOML_BYTES, TITLE_RULE, is_title, parse_toml, shown
 
 OBJECT_FORMAT_VERSION = 1
 MAX_GROUP_ORDER = 3600
+_AXIS_LENGTHS = (1e-9, 1e9)  # within which its square, and so its direction, is a number
+
+
+_Field: TypeAlias = tuple[str, ...]  # the keys that lead to a value
 
 
 @dataclass(frozen=True)
@@ -43,9 +49,9 @@ class ObjectSpec:
     """One object: its mesh, its body's symmetry group and its marking.
 
     Attributes:
-        name: the name in file names and labels.
+        name: the name in file names and labels, by the rule in `names`.
         title: what it is, in words.
-        digest: SHA-256 over object.toml and mesh.obj.
+        digest: SHA-256 over the bytes of object.toml and mesh.obj that were read.
         folder: where it was read from; None where it was not read from a folder.
         mesh: the surface.
         symmetry_group: (G, 3, 3) C, the rotations that map the unmarked body onto itself, identity first.
@@ -93,7 +99,11 @@ def load_object(name_or_folder: str) -> ObjectSpec:
     if name_or_folder in builtin_names():
         return read_object(_assets() / name_or_folder)
     folder = Path(name_or_folder)
-    if folder.is_dir():
+    try:
+        is_folder = name_or_folder != "" and folder.is_dir()
+    except OSError as error:
+        raise UnknownObjectError(f"{folder}: cannot be read: {error.strerror}") from None
+    if is_folder:
         return read_object(folder)
     raise UnknownObjectError(_unknown_object(name_or_folder))
 
@@ -104,16 +114,20 @@ def read_object(folder: Path) -> ObjectSpec:
     Raises:
         ObjectError: a file is missing or broken; the message names the field or the line.
     """
-    toml = _Toml(folder / "object.toml")
+    toml_data = read_object_file(folder / "object.toml", MAX_TOML_BYTES)
+    toml = _Toml(folder / "object.toml", toml_data)
     version = toml.take("format_version", int)
     if version != OBJECT_FORMAT_VERSION:
         raise toml.fault("format_version", f"expected {OBJECT_FORMAT_VERSION}, found {version}")
     name = toml.take("name", str)
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
-        raise toml.fault("name", f"expected letters, digits, '_' and '-', found {name!r}")
+    if not is_object_name(name):
+        raise toml.fault("name", f"expected {OBJECT_NAME_RULE}, found {shown(name)}")
     title = toml.take("title", str)
+    if not is_title(title):
+        raise toml.fault("title", f"expected {TITLE_RULE}, found {shown(title)}")
     group = _read_group(toml, "body.group")
-    mesh = read_mesh(folder / "mesh.obj")
+    mesh_data = read_object_file(folder / "mesh.obj", MAX_MESH_BYTES)
+    mesh = parse_mesh(mesh_data, folder / "mesh.obj")
     marking = _read_marking(toml) if toml.has("marking") else None
     toml.refuse_unknown_fields()
     if bool(mesh.is_marking.any()) != (marking is not None):
@@ -122,8 +136,8 @@ def read_object(folder: Path) -> ObjectSpec:
             f"while object.toml has {'no' if marking is None else 'a'} [marking] table; they must agree"
         )
     digest = hashlib.sha256()
-    for file in ("object.toml", "mesh.obj"):
-        digest.update(hashlib.sha256((folder / file).read_bytes()).digest())
+    for data in (toml_data, mesh_data):
+        digest.update(hashlib.sha256(data).digest())
     spec = ObjectSpec(name, title, digest.hexdigest(), folder, mesh, group, marking)
     try:
         _ = spec.cosets
@@ -142,7 +156,7 @@ def _unknown_object(name: str) -> str:
     nearest = difflib.get_close_matches(name.lower(), by_lower, n=2, cutoff=0.6)
     hint = f" Did you mean {' or '.join(repr(by_lower[near]) for near in nearest)}?" if nearest else ""
     return (
-        f"unknown object {name!r}.{hint} Built-in objects are {', '.join(names)}; "
+        f"unknown object {shown(name)}.{hint} Built-in objects are {', '.join(names)}; "
         "an object of your own is given by the path of its folder"
     )
 
@@ -179,28 +193,34 @@ def _read_group(toml: "_Toml", field: str) -> so3.Rotations:
         raise toml.fault(f"{field}.order", f"expected 1 to {MAX_GROUP_ORDER}, found {order}")
     if kind == "dihedral":
         return so3.dihedral_group(order)
-    axis = toml.take(f"{field}.axis", list) if toml.has(f"{field}.axis") else list(so3.Z_AXIS)
-    numbers = [x for x in axis if isinstance(x, int | float) and not isinstance(x, bool) and np.isfinite(x)]
+    return so3.cyclic_group(order, _read_axis(toml, f"{field}.axis") if toml.has(f"{field}.axis") else so3.Z_AXIS)
+
+
+def _read_axis(toml: "_Toml", field: str) -> list[float]:
+    axis = toml.take(field, list)
+    numbers = [float(x) for x in axis if isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x)]
     if len(axis) != 3 or len(numbers) != 3 or not any(numbers):
-        raise toml.fault(f"{field}.axis", f"expected three finite numbers that are not all 0, found {axis}")
-    return so3.cyclic_group(order, axis)
+        raise toml.fault(field, f"expected three finite numbers that are not all 0, found {shown(axis)}")
+    least, most = _AXIS_LENGTHS
+    if not least <= math.hypot(*numbers) <= most:
+        raise toml.fault(field, f"expected an axis of a length from {least:g} to {most:g}, found {shown(axis)}")
+    return numbers
 
 
 class _Toml:
     """An object.toml whose faults name the file, the field and, where it stands in the file, its line."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, data: bytes) -> None:
         self._path = path
-        self._taken: set[str] = {"provenance"}
+        self._taken: set[_Field] = {("provenance",)}
         try:
-            self._text = path.read_text(encoding="utf-8")
-            self._tables: dict[str, Any] = tomllib.loads(self._text)
-        except FileNotFoundError:
-            raise ObjectError(f"{path}: no such file; an object is a folder with object.toml and mesh.obj") from None
-        except tomllib.TOMLDecodeError as error:
-            raise ObjectError(f"{path}: is no valid TOML: {error}") from None
-        except (OSError, UnicodeDecodeError) as error:
+            self._text = data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
             raise ObjectError(f"{path}: cannot be read: {error}") from None
+        try:
+            self._tables = parse_toml(self._text)
+        except ValueError as error:
+            raise ObjectError(f"{path}: is no valid TOML: {error}") from None
 
     def has(self, field: str) -> bool:
         """Tell whether a dotted field is there."""
@@ -214,15 +234,15 @@ class _Toml:
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-            raise self.fault(field, f"expected {_TOML_NAMES[kind]}, found {value!r}")
-        self._taken.add(field)
+            raise self.fault(field, f"expected {_TOML_NAMES[kind]}, found {shown(value)}")
+        self._taken.add(tuple(field.split(".")))
         return value
 
     def refuse_unknown_fields(self) -> None:
         """Raise for the first field that nobody took: most often a misspelt one."""
         for field in _leaves(self._tables):
-            if field not in self._taken and field.split(".")[0] not in self._taken:
-                raise self.fault(field, "is not a field of an object.toml")
+            if field not in self._taken and field[:1] not in self._taken:
+                raise self.fault(".".join(field), "is not a field of an object.toml")
 
     def fault(self, field: str, what: str) -> ObjectError:
         """Return the error that says what is wrong with a field, and where."""
@@ -233,7 +253,7 @@ class _Toml:
     def _line_of(self, field: str) -> int | None:
         """Return the line where a dotted field is set, by its table's header and its key, or in an inline table."""
         table = ""
-        for number, line in enumerate(self._text.splitlines(), start=1):
+        for number, line in enumerate(self._text.split("\n"), start=1):
             header = re.match(r"\s*\[([^\[\]]+)\]", line)
             key = re.match(r"\s*([^\s=#]+)\s*=", line)
             if header:
@@ -257,8 +277,9 @@ def _plain(key: str) -> str:
     return re.sub(r"[\s\"']", "", key)
 
 
-def _leaves(table: dict[str, Any], prefix: str = "") -> list[str]:
-    names: list[str] = []
+def _leaves(table: dict[str, Any], prefix: _Field = ()) -> list[_Field]:
+    """Return the fields of tables within tables, empty tables among them."""
+    fields: list[_Field] = []
     for key, value in table.items():
-        names += _leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else [f"{prefix}{key}"]
-    return names
+        fields += _leaves(value, (*prefix, key)) if isinstance(value, dict) and value else [(*prefix, key)]
+    return fields

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from symsol_annot.errors import SettingsError
-from symsol_annot.manifest import SPLITS, Manifest, ShardEntry
+from symsol_annot.manifest import ANNOTATE_CHOICES, MAX_SEED, Manifest, ShardEntry
+from symsol_annot.names import SPLITS
 from symsol_annot.objects import ObjectSpec
 from symsol_annot.scene import Camera, RenderSettings
-from symsol_annot.shard_header import shard_file_name
+from symsol_annot.shard_header import MAX_IMAGES_PER_SHARD, shard_file_name
 from symsol_annot.so3 import Rotations, uniform_rotations
 
-ANNOTATE_CHOICES = ("all", "test", "none")
-MAX_IMAGES_PER_SHARD = 500
-MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
 _MAX_PIXELS_PER_SHARD = 2**25  # a shard is built in memory
 _SMALL_SET_SHARDS = 8  # a small set is still divided, so that several workers have work
 _MIN_IMAGES_PER_SHARD = 16

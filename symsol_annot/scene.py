@@ -5,7 +5,7 @@ camera at (0, 0, -distance) looks along +z, and the light shines along the camer
 """
 
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -92,11 +92,18 @@ class RenderSettings:
     diffuse: float = 0.96
 
     def __post_init__(self) -> None:
-        """Refuse an engine that does not exist, and a lattice without a sample at a pixel's centre."""
-        if self.engine not in ENGINES:
+        """Refuse an engine that does not exist, a lattice without a sample at a pixel's centre, and odd colours."""
+        if type(self.engine) is not str or self.engine not in ENGINES:
             raise SettingsError(f"engine: expected one of {', '.join(ENGINES)}, found {self.engine!r}")
-        if self.samples_per_axis not in SAMPLES_PER_AXIS:
+        if type(self.samples_per_axis) is not int or self.samples_per_axis not in SAMPLES_PER_AXIS:
             raise SettingsError(f"samples_per_axis: expected 2, 4, 6 or 8, found {self.samples_per_axis!r}")
+        for name in ("body_colour", "marking_colour", "background_colour"):
+            colour = getattr(self, name)
+            if not isinstance(colour, tuple) or len(colour) != 3 or not all(_is_light(part) for part in colour):
+                raise SettingsError(f"{name}: expected three numbers from 0 to 1, found {colour!r}")
+        for name in ("ambient", "diffuse"):
+            if not _is_light(getattr(self, name)):
+                raise SettingsError(f"{name}: expected a number from 0 to 1, found {getattr(self, name)!r}")
 
     @property
     def samples_per_pixel(self) -> int:
@@ -105,13 +112,24 @@ class RenderSettings:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "RenderSettings":
-        """Return the settings that `to_dict` gave."""
+        """Return the settings that `to_dict` gave.
+
+        Raises:
+            SettingsError: a setting has a value that makes no sense.
+            TypeError: they are no table of all the settings.
+        """
+        if type(data) is not dict or set(data) != {field.name for field in fields(cls)}:
+            raise TypeError(f"expected a table of the render settings, found {type(data).__name__}")
         values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
         return cls(**values)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON data."""
         return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+def _is_light(value: Any) -> bool:
+    return type(value) in (float, int) and 0 <= value <= 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,31 +4,31 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 SHARD_FORMAT = "symsol-annot shard"
 SHARD_FORMAT_VERSION = 1
 IMAGE_DATASETS = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask")  # one row an image
 UNKNOWN_WHERE_IMPORTED = ("object_sha256", "seed", "render", "tolerance_px")  # of a header, and of a set's recipe
 DATASETS_NOT_IMPORTED = ("segmentation", "marking_pixels")
 _ATTRIBUTES_NOT_IMPORTED = (*UNKNOWN_WHERE_IMPORTED, "engine", "candidates_drawn", "candidates_within_tolerance")
-_TEXT, _WHOLE, _REAL = (str,), (int, np.integer), (float, np.floating)
-_ATTRIBUTES: dict[str, tuple[type, ...]] = {
-    "format": _TEXT,
-    "format_version": _WHOLE,
-    "object": _TEXT,
-    "object_sha256": _TEXT,
-    "split": _TEXT,
-    "first_index": _WHOLE,
-    "seed": _WHOLE,
-    "camera": _TEXT,
-    "render": _TEXT,
-    "engine": _TEXT,
-    "tolerance_px": _REAL,
-    "versions": _TEXT,
-    "candidates_drawn": _WHOLE,
-    "candidates_within_tolerance": _WHOLE,
+MAX_IMAGES_PER_SHARD = 500
+_ATTRIBUTES = {
+    "format": "text",
+    "format_version": "whole",
+    "object": "text",
+    "object_sha256": "text",
+    "split": "text",
+    "first_index": "whole",
+    "seed": "whole",
+    "camera": "text",
+    "render": "text",
+    "engine": "text",
+    "tolerance_px": "real",
+    "versions": "text",
+    "candidates_drawn": "whole",
+    "candidates_within_tolerance": "whole",
 }
+_SOURCE = {"source": "text"}
+ALL_ATTRIBUTES = {**_ATTRIBUTES, **_SOURCE}  # name to kind, of rendered and imported shards
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,11 @@ class ShardHeader:
         return {name: value for name, value in attributes.items() if value is not None}
 
 
-def attribute_types(*, is_imported: bool) -> dict[str, tuple[type, ...]]:
-    """Return the types that each attribute of a shard may have."""
+def attribute_kinds(*, is_imported: bool) -> dict[str, str]:
+    """Return the attributes that a shard has, with their kinds: "text", "whole" or "real"."""
     if not is_imported:
         return dict(_ATTRIBUTES)
-    known = {name: types for name, types in _ATTRIBUTES.items() if name not in _ATTRIBUTES_NOT_IMPORTED}
-    return {**known, "source": _TEXT}
+    return {name: kind for name, kind in _ATTRIBUTES.items() if name not in _ATTRIBUTES_NOT_IMPORTED} | _SOURCE
 
 
 def shard_file_name(split: str, number: int, shards: int) -> str:
@@ -92,6 +91,6 @@ def shard_file_name(split: str, number: int, shards: int) -> str:
     return f"{split}-{number:05d}-of-{shards:05d}.h5"
 
 
-def content_heading(dataset: Any) -> bytes:
-    """Return what precedes the values of an open HDF5 data set in the digest of a shard's contents."""
-    return f"{dataset.name.strip('/')} {dataset.dtype.str} {dataset.shape}\n".encode()
+def content_heading(name: str, dtype: str, shape: tuple[int, ...]) -> bytes:
+    """Return what precedes the values of a data set in the digest of a shard's contents."""
+    return f"{name} {dtype} {shape}\n".encode()

@@ -43,21 +43,41 @@ class ShardMaker:
         renderer: draws its object.
         exhaustive: draw every candidate, also where geometry decides; the bytes are the same.
         worker: the name that its shards carry.
+        check: called after each shard; it raises where the renderer's frames cannot be trusted.
     """
 
     is_spent = False  # lasts as long as its renderer
 
-    def __init__(self, plan: SetPlan, renderer: Renderer, *, exhaustive: bool = False, worker: str = "") -> None:
-        self._plan, self._renderer, self._worker = plan, renderer, worker
+    def __init__(
+        self,
+        plan: SetPlan,
+        renderer: Renderer,
+        *,
+        exhaustive: bool = False,
+        worker: str = "",
+        check: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._plan, self._renderer, self._worker, self._check = plan, renderer, worker, check
         self._visibility = None if exhaustive else visibility_of(plan)
         self._is_closed = False
 
     def make(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
-        """Draw and annotate the images of one shard.
+        """Draw and annotate the images of one shard; it is handed out only if the renderer passes its check after it.
 
         Raises:
             RenderError: the renderer failed or crashed.
         """
+        try:
+            return self._made(entry, on_images)
+        finally:
+            self._check()  # also after an error, which a damaged renderer can be the cause of
+
+    def close(self) -> None:
+        """Let go of the renderer; a shard under way in another thread ends as a crash."""
+        self._is_closed = True
+        self._renderer.close()
+
+    def _made(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
         manifest, group = self._plan.manifest(), self._plan.spec.symmetry_group
         annotated = manifest.is_annotated(entry.split)
         versions = {"symsol-annot": __version__, **storage_versions(), **self._renderer.versions}
@@ -70,11 +90,6 @@ class ShardMaker:
                 on_images(made + 1)
             file = writer.finish(counts)
         return MadeShard(file.data, hashlib.sha256(file.data).hexdigest(), file.content_sha256, self._worker)
-
-    def close(self) -> None:
-        """Let go of the renderer; a shard under way in another thread ends as a crash."""
-        self._is_closed = True
-        self._renderer.close()
 
     def _record(self, entry: ShardEntry, index: int, counts: dict[str, int], *, annotated: bool) -> ImageRecord:
         spec, renderer = self._plan.spec, self._renderer

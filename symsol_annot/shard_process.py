@@ -5,13 +5,9 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import numpy.typing as npt
 
 from symsol_annot.blender_process import (
     END_ITSELF,
@@ -23,15 +19,12 @@ from symsol_annot.blender_process import (
     open_blender,
     serve,
 )
-from symsol_annot.closing import Closing
+from symsol_annot.control import ControlledRenderer
 from symsol_annot.errors import RendererCrashedError
 from symsol_annot.manifest import ShardEntry
 from symsol_annot.plan import SetPlan
-from symsol_annot.scene import Renderer, View
 from symsol_annot.shard_maker import MadeShard, OnImages, ShardMaker
-from symsol_annot.so3 import Rotations
 
-_COUNTS_PER_SIGN = 90  # rotations counted between two signs of life
 _WATCH_SECONDS = 0.2
 _RENEWED_AT = 0.75  # of the memory it may hold, between two shards
 
@@ -59,7 +52,8 @@ class ShardProcess:
 
     Raises:
         RendererMissingError: bpy or a library that it needs is not there.
-        RendererCrashedError: the process ended by itself, or grew beyond its memory; the message quotes its last lines.
+        RendererCrashedError: the process ended by itself, or grew beyond its memory, and the message quotes its last
+            lines; or it no longer drew as at its start.
         RendererHungError: it gave no sign of life.
     """
 
@@ -95,39 +89,12 @@ class ShardProcess:
         self._process.close()
 
 
-class _CountingRenderer(Closing):
-    """A renderer that counts its frames and says after each batch that it is still there."""
-
-    def __init__(self, renderer: Renderer) -> None:
-        self._renderer, self.frames = renderer, 0
-        self.on_batch: Callable[[], object] = lambda: None
-
-    @property
-    def versions(self) -> dict[str, str]:
-        return self._renderer.versions
-
-    def render(self, R_m2c: Rotations) -> View:
-        self.frames += 1
-        return self._renderer.render(R_m2c)
-
-    def marking_pixels(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
-        counts = [np.zeros(0)]
-        for start in range(0, len(R_m2c), _COUNTS_PER_SIGN):
-            counts.append(self._renderer.marking_pixels(R_m2c[start : start + _COUNTS_PER_SIGN]))
-            self.frames += len(counts[-1])
-            self.on_batch()
-        return np.concatenate(counts)
-
-    def close(self) -> None:
-        self._renderer.close()
-
-
 def _start(scene: tuple[SetPlan, bool, int]) -> tuple[Answer, str]:
     plan, exhaustive, memory_bytes = scene
     _watch_memory(memory_bytes)
-    renderer = _CountingRenderer(open_blender(plan.spec.mesh, plan.camera, plan.settings))
+    renderer = ControlledRenderer(open_blender(plan.spec.mesh, plan.camera, plan.settings))
     worker = _name_of(os.getpid())
-    maker = ShardMaker(plan, renderer, exhaustive=exhaustive, worker=worker)
+    maker = ShardMaker(plan, renderer, exhaustive=exhaustive, worker=worker, check=renderer.check)
 
     def answer(entry: ShardEntry, send: Send) -> tuple[MadeShard, int, int]:
         last = 0

@@ -63,7 +63,7 @@ class ShardWriter(Closing):
         if annotated:
             self._labels["symmetry_mask"] = np.zeros((count, len(symmetry_group)), dtype=bool)
         self._labels["symmetry_group"] = symmetry_group
-        self._content = hashlib.sha256(content_heading(self._image))
+        self._content = hashlib.sha256(_heading(self._image))
         self._segmentations: list[bytes] = []  # as they are stored, until their turn in the digest
 
     def add(self, record: ImageRecord) -> None:
@@ -89,13 +89,13 @@ class ShardWriter(Closing):
             raise ValueError(f"the shard was made for {self._count} images and holds {self._written}")
         self._file.attrs.update(notes)
         if self._segmentation is not None:
-            self._content.update(content_heading(self._segmentation))
+            self._content.update(_heading(self._segmentation))
             for chunk in self._segmentations:
                 self._content.update(inflated(chunk, math.prod(self._segmentation.chunks)))
         for name, values in self._labels.items():
             dataset = self._create(name, values.shape, values.dtype.str)
             _store(dataset, 0, values)
-            self._content.update(content_heading(dataset) + values.tobytes())
+            self._content.update(_heading(dataset) + values.tobytes())
         self._file.flush()
         return ShardFile(self._file.id.get_file_image(), self._content.hexdigest())
 
@@ -124,6 +124,10 @@ def _store(dataset: h5py.Dataset, row: int, values: npt.NDArray[Any]) -> bytes:
     chunk = stored(values)
     dataset.id.write_direct_chunk((row, *[0] * (values.ndim - 1)), chunk)
     return chunk
+
+
+def _heading(dataset: h5py.Dataset) -> bytes:
+    return content_heading(dataset.name.strip("/"), dataset.dtype.str, dataset.shape)
 
 
 def storage_versions() -> dict[str, str]:

@@ -5,12 +5,15 @@ Rotations are (..., 3, 3) float64 arrays that act on column vectors. Angles are 
 
 import hashlib
 from collections.abc import Iterable
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import RotationError
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Rotations: TypeAlias = npt.NDArray[np.float64]
 Angles: TypeAlias = npt.NDArray[np.float64]
@@ -202,13 +205,21 @@ def nearest_element(group: Rotations, R: Rotations) -> npt.NDArray[np.intp]:
     Raises:
         RotationError: a rotation is not an element of the group.
     """
+    return _nearest_in(_search_tree(group), R)
+
+
+def _search_tree(group: Rotations) -> "cKDTree":
     from scipy.spatial import cKDTree  # noqa: PLC0415 - takes 0.2 s, and loading a set needs none
 
-    distance, index = cKDTree(group.reshape(-1, 9)).query(R.reshape(-1, 9))
+    return cKDTree(group.reshape(-1, 9))
+
+
+def _nearest_in(tree: "cKDTree", R: Rotations) -> npt.NDArray[np.intp]:
+    distance, index = tree.query(R.reshape(-1, 9))
     if np.any(distance > _SAME_ROTATION):
         raise RotationError(
             f"{int(np.count_nonzero(distance > _SAME_ROTATION))} of {len(distance)} rotations "
-            f"are not among the {len(group)} elements of the group; the group is not closed or the wrong one"
+            f"are not among the {tree.n} elements of the group; the group is not closed or the wrong one"
         )
     found: npt.NDArray[np.intp] = np.asarray(index, dtype=np.intp).reshape(R.shape[:-2])
     return found
@@ -228,10 +239,10 @@ def left_cosets(group: Rotations, subgroup: Rotations) -> npt.NDArray[np.intp]:
         RotationError: the subgroup's products leave the group.
     """
     unseen = np.ones(len(group), dtype=bool)
-    cosets = []
+    cosets, tree = [], _search_tree(group)
     for index, element in enumerate(group):
         if unseen[index]:
-            members = nearest_element(group, element @ subgroup)
+            members = _nearest_in(tree, element @ subgroup)
             unseen[members] = False
             cosets.append(members)
     return np.stack(cosets)

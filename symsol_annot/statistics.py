@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from symsol_annot.manifest import Manifest
-from symsol_annot.shards import open_shard
+from symsol_annot.shard_laws import checked_shard
 
 _FEW_SIZES = 12
 
@@ -48,16 +48,16 @@ def split_statistics(folder: Path, manifest: Manifest, split: str) -> SplitStati
     for entry in manifest.of_split(split):
         if not entry.is_finished:
             continue
-        with open_shard(folder / entry.file) as shard:
-            statistics.images += len(shard["rotation"])
-            if "symmetry_mask" in shard:
-                statistics.set_sizes.update(shard["symmetry_mask"][...].sum(axis=1).tolist())
-            if statistics.is_imported:
-                continue
-            shown = shard["marking_pixels"][...] >= float(shard.attrs["tolerance_px"])
-            statistics.shown += int(np.count_nonzero(shown))
-            statistics.candidates_drawn += int(shard.attrs["candidates_drawn"])
-            statistics.candidates_within_tolerance += int(shard.attrs["candidates_within_tolerance"])
+        shard, labels = checked_shard(folder, manifest, entry)
+        statistics.images += len(shard)
+        if shard.is_annotated:
+            statistics.set_sizes.update(labels["symmetry_mask"].sum(axis=1).tolist())
+        if statistics.is_imported:
+            continue
+        shown = labels["marking_pixels"] >= float(shard.attributes["tolerance_px"])
+        statistics.shown += int(np.count_nonzero(shown))
+        statistics.candidates_drawn += int(shard.attributes["candidates_drawn"])
+        statistics.candidates_within_tolerance += int(shard.attributes["candidates_within_tolerance"])
     return statistics
 
 

@@ -1,6 +1,6 @@
 """The original SYMSOL as sets of this package: its images and rotations, its symmetry sets where it has them.
 
-The source lists m rotations an image and says nothing of their convention, of camera or marking. Its sets are taken as
+The source lists m rotations per image and says nothing of their convention, of camera or marking. Its sets are taken as
 R g with g of one group; that is checked for every image, and the group's duplicates are removed.
 """
 
@@ -18,12 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot import __version__
-from symsol_annot.errors import DataError, DifferentSetError, SettingsError
-from symsol_annot.files import file_sha256, new_folder, output_errors, write_atomically
+from symsol_annot.errors import DataError, DifferentSetError, SettingsError, output_errors
+from symsol_annot.files import check_inside, new_folder, write_atomically
 from symsol_annot.listed_groups import SAME_RAD, ListedGroup, listed_group, nearest_rotations
 from symsol_annot.locks import held_folder
-from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.names import SPLITS
 from symsol_annot.plan import division_into_shards
+from symsol_annot.reading import file_sha256
 from symsol_annot.shard_writer import ShardFile, ShardWriter, storage_versions
 from symsol_annot.so3 import Rotations, rotation_deviation
 from symsol_annot.symsol_zip import SymsolZip
@@ -81,14 +83,14 @@ def import_symsol(
         DataError: the zip is damaged or not SYMSOL's; nothing is left of the object in question.
         DifferentSetError: the folder holds another set under an object's name.
         SettingsError: an object is not in the zip.
-        OutputError: the folder cannot be written to.
+        OutputError: the folder cannot be written to, or a file in it is a link that leads out of it.
     """
     with SymsolZip(path) as source, held_folder(out):
         wanted = tuple(dict.fromkeys(objects)) or source.objects
         missing = [name for name in wanted if name not in source.objects]
         if missing:
             raise SettingsError(f"{path}: has no {', '.join(missing)}; it has {', '.join(source.objects)}")
-        sha256 = file_sha256(path)
+        sha256 = source.sha256()
         for name in wanted:
             importer = _Importer(source, name, sha256)
             folder, manifest = out / name, importer.manifest
@@ -97,9 +99,12 @@ def import_symsol(
             if there and _is_whole(folder, there):
                 yield ImportedSet(folder, there, members, was_there=True)
                 continue
+            if there:
+                check_inside(folder, [MANIFEST_NAME, *(entry.file for entry in manifest.shards)])
             on_begin(manifest)
             with nullcontext(folder) if there else new_folder(folder) as place:  # there, shard after shard is replaced
                 made = importer.write(place, workers, on_images)
+                source.refuse_change()
             yield ImportedSet(folder, made, members, importer.off_so3, importer.off_sets_rad)
 
 

@@ -11,10 +11,11 @@ _START_SECONDS = 60
 
 
 @contextmanager
-def scheduler(folder):
+def scheduler(folder, *options):
     """Run `dask scheduler`; its address is given."""
     file = folder / "scheduler.json"
-    with _running("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file), folder=folder):
+    common = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+    with _running("scheduler", *common, *options, folder=folder):
         yield _wait_for(lambda: file.exists() and json.loads(file.read_text() or "{}").get("address"))
 
 

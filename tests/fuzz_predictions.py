@@ -1,16 +1,9 @@
-"""A fuzzer of predictions files: each ends in a score or in one message, in bounded time and memory.
+"""Predictions files: valid ones of all tracks, stored in several ways, and damage to them; and their readers, forked.
 
-python tests/fuzz_predictions.py [--cases 20000] [--seed 0] [--jobs 2] [--only CASE] [--keep FOLDER]
-
-Valid files of all tracks, stored in several ways, are damaged and scored. Prints how they ended; exits 1, and keeps
-the file, where one ended in any exception but SymsolError, took too long, grew the process, printed what a terminal
-would obey, or had another file opened. A case depends on the seed and its number alone.
-
-A process a file is started by a fork here, which takes milliseconds; what runs in it is what runs in the product.
-In every second case it may open other files, so that no file is spared by that limit alone.
+A process per file is started by a fork here, which takes milliseconds; what runs in it is what runs in the product.
+`make attack` reads the damaged ones.
 """
 
-import argparse
 import contextlib
 import ctypes
 import os
@@ -18,31 +11,20 @@ import resource
 import signal
 import subprocess
 import sys
-import tempfile
-import time
 import traceback
 import warnings
-from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
-from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
 
 import h5py
 import numpy as np
 
-from symsol_annot import SymsolError, load
-from symsol_annot.bench import hdf5_child, predictions, report, sandbox
+from symsol_annot import hdf5_child, load, sandbox
 from symsol_annot.bench.format import FILE_ATTRIBUTES, TRACKS
-from symsol_annot.bench.predictions import open_predictions
 from symsol_annot.bench.queries import group_sha256, query_count
-from symsol_annot.bench.scoring import score
 from symsol_annot.grid import grid_sha256, grid_size
 
 IMAGES, LEVEL, HYPOTHESES = 6, 0, 3
-SECONDS = 15.0  # a request, in place of the product's 60
-GROWTH_BYTES = 2**28
 DATASETS = ("image_index", *(name for names in TRACKS.values() for name in names))
 STORAGE = {
     "contiguous": {},
@@ -111,7 +93,7 @@ class ForkedChild:
     """What `subprocess.Popen` is to the sandbox, forked from this process instead of started afresh."""
 
     def __init__(self, command, **_):
-        path, seconds, memory_bytes = command[-3:]
+        seconds, processor_seconds, memory_bytes = command[-3:]
         requests, self.stdin = _pipe()
         answers = os.pipe()
         self.stdout, self.returncode = os.fdopen(answers[0], "rb"), None
@@ -119,13 +101,20 @@ class ForkedChild:
             warnings.simplefilter("ignore")  # about threads, of which the fork uses none
             self.pid = os.fork()
         if self.pid == 0:
-            _serve(requests, answers[1], path, float(seconds), int(memory_bytes) + _address_space())
+            limits = float(seconds), float(processor_seconds), int(memory_bytes) + _address_space()
+            _serve(requests, answers[1], limits)
         os.close(requests)
         os.close(answers[1])
 
     def kill(self):
         if self.returncode is None:
             os.kill(self.pid, signal.SIGKILL)
+
+    def poll(self):
+        if self.returncode is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self.returncode = os.waitstatus_to_exitcode(status) if pid else None
+        return self.returncode
 
     def wait(self):
         if self.returncode is None:
@@ -149,7 +138,7 @@ def _pipe():
     return read, os.fdopen(write, "wb")
 
 
-def _serve(requests, answers, path, seconds, memory_bytes):
+def _serve(requests, answers, limits):
     try:
         os.setsid()
         os.dup2(requests, 0)
@@ -157,7 +146,7 @@ def _serve(requests, answers, path, seconds, memory_bytes):
         os.dup2(os.open(ForkedChild.stderr, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), 2)
         os.closerange(3, 256)
         sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w")
-        hdf5_child.main(path, seconds, memory_bytes)
+        hdf5_child.main(*limits)
         sys.stdout.flush()
     except BaseException:  # noqa: BLE001 - a fork ends here, whatever happens
         traceback.print_exc()
@@ -168,10 +157,6 @@ def _serve(requests, answers, path, seconds, memory_bytes):
 
 def _address_space():
     return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-
-
-def _resident():
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 class Opened:
@@ -495,109 +480,6 @@ def make_case(path, bases, rng):
     return [*done, damage.__name__]
 
 
-class TooLong(BaseException):
-    """A case took longer than its requests may."""
-
-
-def run_case(path, data):
-    """Score a file as the commands do; return how it ended.
-
-    Raises:
-        AssertionError: a score or a message that must not be.
-    """
-    try:
-        with open_predictions(path, data) as found:
-            document = report.to_document([scored := score(found)], [path])
-    except SymsolError as error:
-        _check_text(str(error).replace(str(path), ""))
-        return _kind(str(error))
-    report.to_json(document).encode()
-    report.per_image_csv([scored]).encode()
-    _check_text(report.tables(document))
-    for track in scored.tracks.values():
-        for name, figure in track.figures["all"].items():
-            assert not np.isinf(figure.value), name
-            if "rad" not in name and "log" not in name:
-                assert np.isnan(figure.value) or 0 <= figure.value <= 1, (name, figure.value)
-    return "score"
-
-
-def _check_text(text):
-    text.encode()
-    assert len(text) < 50_000, "a message of that length is none"
-    assert all(line.isprintable() for line in text.split("\n")), f"not for a terminal: {text!r}"
-
-
-def _kind(message):
-    kinds = {
-        "child crashed": "the HDF5 library crashed",
-        "child timed out": "s, which only a damaged or hostile file does",
-        "child gave up": "the HDF5 library gave up",
-        "message: not HDF5": "cannot be read as HDF5",
-        "message: damaged": "damaged",
-        "message: another set": "holds no set of",
-        "message: another set or format": "attribute 'format'",
-        "message: link, storage or type": "where a data set of numbers in this file belongs",
-    }
-    return next((kind for kind, words in kinds.items() if words in message), "message: other faults")
-
-
-def run_cases(numbers, seed, folder, keep):
-    """Run some cases; return how often each ending occurred, and what must not be."""
-    work = folder / f"worker-{os.getpid()}"
-    work.mkdir(exist_ok=True)
-    path, errors = work / "case.h5", folder / f"worker-{os.getpid()}.err"
-    bases = [base.read_bytes() for base in sorted((folder / "bases").iterdir())]
-    (work / "canary.h5").write_bytes(bases[0])
-    ends, failures, opened = Counter(), [], Opened(work)
-    sandbox.SandboxedFile.__init__.__defaults__ = (SECONDS, sandbox.MEMORY_BYTES)
-    predictions.read_truth = cache(predictions.read_truth)
-    signal.signal(signal.SIGALRM, _too_long)
-    warnings.simplefilter("error")
-    limit, before = hdf5_child._limit, None
-    with forked_children(errors):
-        for number in numbers:
-            hdf5_child._limit = limit if number % 2 else _without_limit_on_files(limit)
-            done = make_case(path, bases, np.random.default_rng([seed, number]))
-            opened.names()
-            before = before or _resident()
-            wrong, end = "", ""
-            signal.setitimer(signal.ITIMER_REAL, 4 * SECONDS)
-            try:
-                end = run_case(path, folder / "data")
-            except (Exception, TooLong):  # noqa: BLE001 - what no case may end in
-                wrong = traceback.format_exc()
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            if names := opened.names() - {"case.h5"}:
-                wrong += f"opened {', '.join(names)}\n"
-            if end == "child gave up" and "MemoryError" not in errors.read_text():
-                wrong += f"in the child: {errors.read_text()}\n"
-            if _resident() > before + GROWTH_BYTES:
-                wrong += f"grew by {(_resident() - before) >> 20} MiB\n"
-                before = _resident()
-            ends["FAILED" if wrong else end] += 1
-            if wrong:
-                keep.mkdir(parents=True, exist_ok=True)
-                kept = keep / f"seed-{seed}-case-{number}.h5"
-                kept.write_bytes(path.read_bytes())
-                failures.append(f"{kept} ({', '.join(done)}):\n{wrong}")
-    opened.close()
-    return ends, failures
-
-
-def _too_long(*_):
-    raise TooLong
-
-
-def _without_limit_on_files(limit):
-    def limit_the_rest(memory_bytes):
-        setrlimit = resource.setrlimit
-        resource.setrlimit = lambda which, to: None if which == resource.RLIMIT_NOFILE else setrlimit(which, to)
-        limit(memory_bytes)
-
-    return limit_the_rest
-
-
 def make_bases(folder):
     """Make a set and valid files about it."""
     sys.path.insert(0, str(Path(__file__).parent))
@@ -611,39 +493,3 @@ def make_bases(folder):
             for track in ("all", *TRACKS):
                 chosen = {n: c for n, c in columns.items() if track == "all" or n in ("image_index", *TRACKS[track])}
                 write_file(folder / "bases" / f"{name}-{libver[0]}-{track}.h5", chosen, attributes, storage, libver)
-
-
-def main():
-    """Run the cases in some processes and print how they ended."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cases", type=int, default=20000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count())
-    parser.add_argument("--only", type=int, help="run this case alone")
-    parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"), help="where files that fail go")
-    arguments = parser.parse_args()
-    numbers = range(arguments.cases) if arguments.only is None else [arguments.only]
-    ends, failures, start = Counter(), [], time.perf_counter()
-    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", HDF5_PLUGIN_PATH=os.devnull)  # the pool's
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        make_bases(folder)
-        with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:
-            runs = [
-                pool.submit(run_cases, numbers[at : at + 250], arguments.seed, folder, arguments.keep)
-                for at in range(0, len(numbers), 250)
-            ]
-            for run in runs:
-                found, wrong = run.result()
-                ends += found
-                failures += wrong
-                print("\n".join(wrong), end="", flush=True)
-    seconds, hdf5 = time.perf_counter() - start, h5py.version.hdf5_version
-    print(f"{ends.total()} cases, seed {arguments.seed}, HDF5 {hdf5}, {arguments.jobs} jobs: {seconds:.0f} s")
-    for end, count in ends.most_common():
-        print(f"{count:8d}  {end}")
-    sys.exit(1 if failures else 0)
-
-
-if __name__ == "__main__":
-    main()

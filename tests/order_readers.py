@@ -5,7 +5,7 @@ import torch
 from torch.utils.data import IterableDataset, get_worker_info
 
 from symsol_annot import dataset as dataset_module
-from symsol_annot import load, shuffled_order
+from symsol_annot import load, shards, shuffled_order
 
 OPENED = []  # by this process, from `record_opens` on
 
@@ -21,7 +21,7 @@ class RecordedFile(dataset_module.ByteFile):
 def record_opens(*_):
     """Begin to note the shards that this process opens."""
     OPENED.clear()
-    dataset_module.ByteFile = RecordedFile
+    shards.ByteFile = dataset_module.ByteFile = RecordedFile
 
 
 def collate(samples):

@@ -21,7 +21,8 @@ ANGLES_DEG = (1, 2, 5, 10, 15, 30)
 SWEPT = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 STANDARD = 0.8
 DECOYS = 8
-ROUNDING_RAD = 1e-9  # an angle of exactly 5 degrees is not more than 5 degrees, whatever its last digits are
+ROUNDING_RAD = 1e-9  # between labels: 5 degrees are not more than 5 degrees, whatever their last digits are
+SLACK_RAD = 1e-6  # between labels and predictions, which may be float32
 NEAR_PI_RAD = 1e-3
 
 torch.set_num_threads(1)  # the arrays are small, and waiting threads cost more than they save
@@ -36,6 +37,14 @@ def angles(R, many):
 
 def mean(numbers):
     return math.fsum(numbers) / len(numbers)
+
+
+def nearest_rotation(matrix):
+    """The rotation that a rounded one stands for, by its singular vectors."""
+    if not np.isfinite(matrix).all():
+        return matrix  # of weight 0
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ vt
 
 
 def weighted_mean(numbers, weights):
@@ -222,10 +231,10 @@ class ScoreOracle:
 
     def _is_within(self, angle, threshold_rad):
         self.knife_edge_rad = min(self.knife_edge_rad, abs(angle - threshold_rad))
-        return angle <= threshold_rad + ROUNDING_RAD
+        return angle <= threshold_rad + SLACK_RAD
 
     def _hypotheses(self, i, row):
-        hypotheses = self.columns["hypotheses"][row].astype(np.float64)
+        hypotheses = np.array([nearest_rotation(h) for h in self.columns["hypotheses"][row].astype(np.float64)])
         weights = [1.0] * len(hypotheses)
         if "hypothesis_weights" in self.columns:
             weights = [float(w) for w in self.columns["hypothesis_weights"][row]]
@@ -253,6 +262,10 @@ class ScoreOracle:
             row[f"coverage_image_mean_at_{degrees}_deg"] = (coverage, 1)
             row[f"accuracy_at_{degrees}_deg"] = (accuracy, 1)
             row[f"f_measure_at_{degrees}_deg"] = (2 * coverage * accuracy / both if both else 0.0, 1)
+            if degrees == 5 and "hypothesis_weights" in self.columns:
+                accuracy = mean([float(self._is_within(error, limit)) for error in precision_errors])
+                both = coverage + accuracy
+                row["f_measure_unweighted_at_5_deg"] = (2 * coverage * accuracy / both if both else 0.0, 1)
         return row
 
     def _grid(self):

@@ -2,13 +2,15 @@
 
 import http.server
 import os
+import resource
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 
 import dask_cluster
@@ -17,7 +19,7 @@ from conftest import make_plan
 from distributed import Client
 
 from symsol_annot import __version__
-from symsol_annot.cluster import DaskCluster, address_in
+from symsol_annot.cluster import DaskCluster
 from symsol_annot.cluster_checks import check_scheduler, worker_faults
 from symsol_annot.errors import ClusterError
 from symsol_annot.events import ShardBegunAgain, ShardFinished
@@ -166,6 +168,21 @@ def test_workers_that_would_make_nothing_or_other_bytes_are_refused_before_work(
     assert not (tmp_path / "tetX").exists()
 
 
+def test_a_worker_that_answers_with_something_else_than_a_shard_is_an_error(tmp_path):
+    preloaded = (
+        "from symsol_annot import cluster_worker\ncluster_worker.make_on_worker = lambda name, entry: 'no shard'\n"
+    )
+    (tmp_path / "pretend.py").write_text(preloaded)
+    with (
+        dask_cluster.scheduler(tmp_path) as address,
+        dask_cluster.workers(tmp_path, address, 1, "--preload", str(tmp_path / "pretend.py")),
+        pytest.raises(
+            ClusterError, match=r"a worker of tcp://\S+ failed: TypeError: expected a shard from it, found str"
+        ),
+    ):
+        generate(PLAN, tmp_path / "tetX", partial(DaskCluster, address=address))
+
+
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
@@ -182,24 +199,77 @@ def test_faults_name_the_worker_and_what_to_install(changes, expected):
 
 
 @contextmanager
-def listening(answer):
-    """Somebody who takes connections and says `answer` at once; nothing where it is None."""
+def listening(say):
+    """Somebody who takes connections, and with each, at once and in a thread of its own, does what `say` does."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         connections = []
 
+        def speak(connection):
+            with suppress(OSError):
+                say(connection)
+
         def serve():
-            while True:
-                try:
+            with suppress(OSError):
+                while True:
                     connections.append(server.accept()[0])
-                    connections[-1].sendall(answer or b"")
-                except OSError:
-                    return
+                    threading.Thread(target=speak, args=[connections[-1]], daemon=True).start()
 
         threading.Thread(target=serve, daemon=True).start()
         yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
         server.shutdown(socket.SHUT_RDWR)
         for connection in connections:
             connection.close()
+
+
+GREETING = (
+    b":\0\0\0\0\0\0\0\1\0\0\0\0\0\0\0*\0\0\0\0\0\0\0\x83\xabcompression\xc0\xa6python\x93\3\x0b\7\xafpickle-protocol\5"
+)
+
+
+def endless(what):
+    def say(connection):
+        while True:
+            connection.sendall(what)
+
+    return say
+
+
+def dripping(what):
+    def say(connection):
+        for number in what:
+            connection.sendall(bytes([number]))
+            time.sleep(0.5)
+
+    return say
+
+
+def then_closes(what):
+    def say(connection):
+        connection.sendall(what)
+        connection.shutdown(socket.SHUT_RDWR)
+
+    return say
+
+
+TWO_GIB = struct.pack("<Q", 2**31)
+STRANGERS = {
+    "silent": lambda connection: None,
+    "ssh": lambda connection: connection.sendall(b"SSH-2.0-OpenSSH_9.2p1\r\n"),
+    "zeros": lambda connection: connection.sendall(b"\0" * 64),
+    "closes": then_closes(b""),
+    "closes in the middle of a greeting": then_closes(GREETING[:40]),
+    "closes after a greeting": then_closes(GREETING),
+    "greets and falls silent": lambda connection: connection.sendall(GREETING),
+    "drips": dripping(GREETING * 100),
+    "greets and sends what is no message": lambda connection: connection.sendall(GREETING + struct.pack("<QQ", 8, 0)),
+}
+ENDLESS = {
+    "zeros": endless(b"\0" * 2**16),
+    "noise": endless(bytes(range(256)) * 2**8),
+    "lines": endless(b"GET / HTTP/1.1\r\n" * 2**12),
+    "2 GiB announced": endless(TWO_GIB * 2**13),
+    "a greeting without the words": endless(struct.pack("<Q", 2**16) + b"\0" * 2**16),
+}
 
 
 def assert_refused(address, words):
@@ -215,16 +285,25 @@ def test_nobody_at_the_address_is_an_error_that_says_so():
     assert_refused(f"tcp://127.0.0.1:{port}", r"nobody answers there \(Connection refused\)\. Start a scheduler")
 
 
-@pytest.mark.parametrize("answer", [b"SSH-2.0-OpenSSH_9.2p1\r\n" * 20, b"\0" * 64], ids=["ssh", "zeros"])
-def test_something_else_at_the_address_is_an_error_that_says_so(answer):
-    with listening(answer) as address:
+@pytest.mark.parametrize("stranger", STRANGERS)
+def test_whatever_else_is_at_the_address_is_refused_in_bounded_time_without_a_traceback(stranger, monkeypatch, caplog):
+    monkeypatch.setattr("symsol_annot.cluster_checks.CONNECT_SECONDS", 3.0)
+    with listening(STRANGERS[stranger]) as address:
         assert_refused(address, "something that is no Dask scheduler answers there. Give the address")
+    assert not caplog.records
 
 
-def test_a_silent_or_a_web_server_is_no_scheduler(monkeypatch):
+@pytest.mark.parametrize("stranger", ENDLESS)
+def test_endless_bytes_are_refused_at_once_and_take_no_memory(stranger):
+    before_kib, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+    with listening(ENDLESS[stranger]) as address:
+        assert_refused(address, "something that is no Dask scheduler answers there. Give the address")
+    assert time.monotonic() - start < 5
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kib < 2**16
+
+
+def test_a_web_server_is_no_scheduler(monkeypatch):
     monkeypatch.setattr("symsol_annot.cluster_checks.CONNECT_SECONDS", 2.0)
-    with listening(None) as address:
-        assert_refused(address, "something that is no Dask scheduler answers there")
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), QuietHandler) as web:
         threading.Thread(target=web.serve_forever, daemon=True).start()
         assert_refused(f"tcp://127.0.0.1:{web.server_address[1]}", "something that is no Dask scheduler answers there")
@@ -244,18 +323,11 @@ def test_the_address_of_a_worker_is_told_from_a_scheduler_s(cluster):
     assert_refused(worker, "a Dask worker answers there")
 
 
-@pytest.mark.parametrize("address", ["somewhere", "carrier-pigeon://somewhere", "tcp://127.0.0.1:99999"])
+@pytest.mark.parametrize(
+    "address", ["somewhere", "carrier-pigeon://host:1", "tcp://127.0.0.1:99999", "inproc://1/2", "ucx://h:1"]
+)
 def test_what_is_no_address_is_refused(address):
-    assert_refused(address, rf"--cluster {address}: (is no address|nobody answers)")
-
-
-@pytest.mark.parametrize("text", [None, "", "tcp://127.0.0.1:8786", "{}", "[]"])
-def test_a_scheduler_file_without_an_address_is_refused(tmp_path, text):
-    file = tmp_path / "scheduler.json"
-    if text is not None:
-        file.write_text(text)
-    with pytest.raises(ClusterError, match=r"scheduler\.json: holds no address of a scheduler"):
-        address_in(file)
+    assert_refused(address, rf"--cluster {address}: is no address: .*expected one like tcp://")
 
 
 def test_importing_the_package_or_the_commands_does_not_import_dask():

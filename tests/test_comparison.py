@@ -231,7 +231,7 @@ def test_scores_of_another_object_are_refused(documents, save):
         ("method", ..., "'method' is no name"),
         ("method", "\x1b[2J", "'method' is no name"),  # which would clear a terminal
         ("objects", [], "'objects' is no table"),
-        ("objects", {"a\nb": {}}, "'objects' is no table"),
+        ("objects", {"a\nb": {}}, "'objects' has 'a\\\\nb', which is no object's name"),
         ("objects.tetX", 1, "objects.tetX has no 'per_image'"),
         ("objects.tetX.images", True, "objects.tetX.images is no count"),
         ("objects.tetX.images", 0, "objects.tetX.images is no count"),
@@ -248,9 +248,23 @@ def test_scores_of_another_object_are_refused(documents, save):
         ("objects.tetX.per_image.hypotheses.coverage_at_5_deg", [0.5], "coverage_at_5_deg is no list of 40 figures"),
         ("objects.tetX.hypotheses.all.coverage_at_5_deg", ..., "hypotheses.all.coverage_at_5_deg has no value"),
         ("objects.tetX.hypotheses.all.coverage_at_5_deg.value", "1", "hypotheses.all.coverage_at_5_deg has no value"),
-        ("objects.tetX.hypotheses.shown", ..., "hypotheses.shown.coverage_at_5_deg has no value"),
-        ("objects.tetX.hypotheses.name", 3, "hypotheses.name is no name"),
+        ("objects.tetX.hypotheses.shown", ..., "hypotheses.shown is no table of figures"),
+        ("objects.tetX.hypotheses.name", 3, r"hypotheses.name: expected 'hypotheses \(M = 1\)', found 3"),
         ("objects.tetX.hypotheses.warnings", ["\n"], "hypotheses.warnings is no list of texts"),
+        ("objects.tetX.hypotheses.notes", "none", "hypotheses.notes is no list of texts"),
+        ("objects.tetX.hypotheses.M", 2, r"hypotheses.name: expected 'hypotheses \(M = 2\)'"),
+        ("objects.tetX.hypotheses.M", "1", "hypotheses.M: expected 1 to 10000 hypotheses per image, found '1'"),
+        ("objects.tetX.hypotheses.M", ..., "hypotheses.M: expected 1 to 10000 hypotheses per image, found None"),
+        ("objects.tetX.hypotheses", [], "hypotheses is no table of figures"),
+        ("objects.tetX.split", "validation", "split: expected one of train, test, found 'validation'"),
+        ("objects.tetX.fingerprint", "\x1b[2J", "fingerprint is no text"),
+        ("objects", {"../tetX": {}}, "'objects' has '../tetX', which is no object's name"),
+        ("method", "x" * 201, "'method' is no name: expected 1 to 200 printable characters"),
+        ("method", "  ", "'method' is no name"),
+        ("objects.tetX.hypotheses.all.coverage_at_1_deg", [0.1], "all.coverage_at_1_deg has no value"),  # of plots
+        ("objects.tetX.hypotheses.all.coverage_at_1_deg.low", {}, "all.coverage_at_1_deg has no value"),
+        ("objects.tetX.hypotheses.all.coverage_at_1_deg.images", -1, "all.coverage_at_1_deg has no value"),
+        ("objects.tetX.hypotheses.all.coverage_at_1_deg.value", 10**400, "all.coverage_at_1_deg has no value"),
     ],
 )
 def test_an_edited_file_is_refused_with_its_name_and_what_is_wrong(documents, save, path, value, words):
@@ -271,6 +285,9 @@ def test_an_edited_file_is_refused_with_its_name_and_what_is_wrong(documents, sa
         (b"[" * 100_000, "is no JSON"),
         (b"1" * 10_000, "is no JSON"),
         (b'{"format": "symsol-annot scores"', "is no JSON"),
+        (b'{"format": 1, "format": 1}', "is no JSON: the key 'format' stands in one table more than once"),
+        (b"[" * 300_000, "is no scores file: it has more than 262,144 lists and tables"),
+        (b" " * (2**26 + 1), "cannot be read: is larger than the 67,108,864 bytes"),
     ],
 )
 def test_what_is_no_scores_file_is_refused(documents, save, tmp_path, data, words):
@@ -292,7 +309,7 @@ def test_numbers_that_are_none_are_refused(documents, save, word):
 
 def test_what_is_no_file_is_refused_and_not_waited_for(documents, save, tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    for name, words in (("nowhere", "cannot be read: No such file"), (".", "regular file"), ("pipe", "regular file")):
+    for name, words in (("nowhere", "cannot be read: No such file"), (".", "is a folder"), ("pipe", "no regular file")):
         with pytest.raises(ScoresError, match=words):
             compare([*save(documents[0]), tmp_path / name])
 
@@ -303,10 +320,10 @@ def test_all_faults_of_a_file_are_said_at_once_up_to_ten(documents, save):
     with pytest.raises(ScoresError) as refused:
         compare(save(broken, documents[1]))
     assert str(refused.value).splitlines()[1:] == [
-        "  - 'method' is no name",
+        "  - 'method' is no name: expected 1 to 200 printable characters, not all of them spaces",
         "  - objects.tetX.hypotheses.warnings is no list of texts",
     ]
-    del broken["objects"]["tetX"]["hypotheses"]["all"], broken["objects"]["tetX"]["density"]["all"]
+    broken["objects"]["tetX"]["hypotheses"]["all"] = broken["objects"]["tetX"]["density"]["all"] = {}
     with pytest.raises(ScoresError) as refused:
         compare(save(broken, documents[1]))
     assert len(str(refused.value).splitlines()) == 1 + 10
@@ -403,3 +420,22 @@ def test_uniform_rotations_are_worse_than_the_first_method(tetX, documents, save
     rows = rows_of(compare(save(documents[0], bad)))
     assert numbers_in(rows["precision mean error, rad (5.9)"][2])[1] > 0.2
     assert numbers_in(rows["F-measure at 5 deg"][2])[0] < 0
+
+
+def test_scores_of_more_images_than_anybody_has_are_refused_before_work_is_done_on_them(documents, save):
+    count = 300_000
+    entry = {
+        **documents[0]["objects"]["tetX"],
+        "images": count,
+        "per_image": {"set_size": [1] * count, "strata": {}, "hypotheses": {"coverage_at_5_deg": [0] * count}},
+    }
+    entry = {name: value for name, value in entry.items() if name not in ("classifier", "density")}
+    document = {**documents[0], "objects": {"a": entry, "b": entry}}
+    (path,) = save(document)
+    with pytest.raises(ScoresError, match="about 600,000 images together; at most 400,000 are read"):
+        compare([path, path])
+
+
+def test_paths_may_be_text(documents, save):
+    paths = save(documents[0], documents[1])
+    assert compare([str(path) for path in paths]) == compare(paths)

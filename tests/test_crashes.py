@@ -1,5 +1,6 @@
 """A renderer that crashes costs its shard, which is begun again, and nothing else."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -17,6 +18,31 @@ from symsol_annot.events import ImagesMade, ShardBegunAgain
 from symsol_annot.generate import MAX_CRASHES_PER_SHARD, generate
 
 CALL_MAIN = "from symsol_annot_cli.main import main; main()"
+DAMAGE_THE_FIRST_WORKER = """
+import os
+import sys
+from dataclasses import replace
+
+if "symsol_annot.shard_process" in sys.orig_argv:
+    import symsol_annot.frames as frames
+
+    views, view_of = 0, frames.view_of
+    try:
+        os.close(os.open({flag!r}, os.O_CREAT | os.O_EXCL))
+        is_damaged = True
+    except FileExistsError:
+        is_damaged = False
+
+    def damaged_view_of(samples, ids, n):
+        global views
+        views += 1
+        view = view_of(samples, ids, n)
+        if is_damaged and views > {good_views}:
+            view.rgb[0, 0, 0] ^= 1
+        return view
+
+    frames.view_of = damaged_view_of
+"""
 
 
 def contents(folder):
@@ -112,7 +138,7 @@ def test_a_killed_blender_is_replaced_and_the_command_says_so(tmp_path):
     ) as run:
         while not list((tmp_path / "b" / "tetX").glob("*.h5")) and run.poll() is None:
             time.sleep(0.01)
-        (blender,) = children_of(run.pid)
+        (blender,) = blenders_of(run.pid)
         os.kill(blender, signal.SIGKILL)
         out, err = run.communicate(timeout=120)
     assert run.returncode == 0, err
@@ -122,10 +148,44 @@ def test_a_killed_blender_is_replaced_and_the_command_says_so(tmp_path):
     assert contents(tmp_path / "a" / "tetX") == contents(tmp_path / "b" / "tetX")
 
 
-def children_of(pid):
-    parents = {int(path.parent.name): int(path.read_text().rsplit(")", 1)[1].split()[1]) for path in stat_files()}
-    return [child for child, parent in parents.items() if parent == pid]
+@pytest.mark.blender
+def test_no_frame_of_a_damaged_blender_gets_into_a_set_and_the_command_says_so(tmp_path):
+    """From the middle of its second shard on, one bit of every picture of the first worker is another."""
+    (tmp_path / "sitecustomize.py").write_text(
+        DAMAGE_THE_FIRST_WORKER.format(flag=str(tmp_path / "flag"), good_views=2 + 16 + 1 + 5)
+    )
+    words = "render --object tetX --train 0 --test 64 --size 32 --workers 1 --out"
+    command = [sys.executable, "-c", CALL_MAIN, *words.split()]
+    subprocess.run([*command, str(tmp_path / "a")], capture_output=True, check=True)
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    ended = subprocess.run(
+        [*command, str(tmp_path / "b")],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": path},
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "begun again after a worker failed: test-00001" in ended.stdout
+    assert "its memory is damaged" in ended.stdout + ended.stderr
+    assert contents(tmp_path / "a" / "tetX") == contents(tmp_path / "b" / "tetX")
 
 
-def stat_files():
-    return [path for path in Path("/proc").glob("[0-9]*/stat") if path.exists()]
+def blenders_of(pid):
+    """The worker processes that a command has now; a process that reads HDF5 for it is none."""
+    return [child for child, parent in parents().items() if parent == pid and "shard_process" in command_line(child)]
+
+
+def parents():
+    found = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            found[int(path.parent.name)] = int(path.read_text().rsplit(")", 1)[1].split()[1])
+    return found
+
+
+def command_line(pid):
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    except OSError:
+        return ""

@@ -7,21 +7,31 @@ import os
 import pickle
 import random
 import shutil
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from conftest import make_set
+from bench_sets import SmallDisk, python, run
+from conftest import SIZE, make_set, threads
+from numpy_renderer import NumpyRenderer
+from tampering import flip_bit, flip_chunk, put, reseal, tampered
 
 import symsol_annot
 from symsol_annot import dataset as dataset_module
 from symsol_annot import plan as plan_module
+from symsol_annot import shards
 from symsol_annot.dataset import Sample, load
 from symsol_annot.errors import DataError, NotAnnotatedError
+from symsol_annot.generate import generate
 from symsol_annot.manifest import read_manifest, write_manifest
+from symsol_annot.objects import load_object
+from symsol_annot.plan import SetPlan
+from symsol_annot.set_folders import set_folders
 from symsol_annot.verify import verify
 
 TEST_IMAGES, TRAIN_IMAGES, PER_SHARD = 40, 5, 16
@@ -36,10 +46,19 @@ def tet_set(tmp_path_factory):
 
 @pytest.fixture
 def opened(monkeypatch):
-    """The names of the shards that are opened from here on, in order."""
-    names, really_open = [], dataset_module.open_shard
-    monkeypatch.setattr(dataset_module, "open_shard", lambda path: names.append(path.name) or really_open(path))
+    """The names of the shards that HDF5 is asked about from here on, in order."""
+    names, describe = [], shards._DESCRIBER.describe
+    monkeypatch.setattr(shards._DESCRIBER, "describe", lambda path: names.append(path.name) or describe(path))
     return names
+
+
+def marked(folder, row, pixels):
+    """Give an image of the second shard another marked area, and a set that the one rule allows there."""
+    with tampered(folder, "test-00001-of-00003.h5") as file:
+        shown = file["marking_pixels"][...] >= 5.0
+        stabiliser, free = file["symmetry_mask"][int(np.argmax(shown))], file["symmetry_mask"][int(np.argmin(shown))]
+        file["marking_pixels"][row] = pixels
+        file["symmetry_mask"][row] = stabiliser if pixels >= 5.0 else free
 
 
 def expected_samples(folder, split="test"):
@@ -227,10 +246,9 @@ def test_symmetry_set_of_a_split_without_is_an_error_that_says_how_to_get_it(tet
     ("pixels", "is_visible"), [(0.0, False), (4.75, False), (5.0, True), (5.25, True), (300.0, True)]
 )
 def test_marking_is_visible_from_the_objects_tolerance_on(tetX_set, pixels, is_visible):
-    with h5py.File(tetX_set / "test-00000-of-00003.h5", "r+") as file:
-        assert file.attrs["tolerance_px"] == 5.0
-        file["marking_pixels"][2] = pixels
-    sample = load(tetX_set)[2]
+    assert read_manifest(tetX_set).recipe["tolerance_px"] == 5.0
+    marked(tetX_set, 2, pixels)
+    sample = load(tetX_set)[PER_SHARD + 2]
     assert (sample.marking_pixels, sample.marking_visible) == (pixels, is_visible)
     assert isinstance(sample.marking_visible, bool)
 
@@ -247,8 +265,8 @@ def test_no_shard_is_opened_before_a_sample_is_asked_for(tetX_set, monkeypatch):
         pytest.fail(f"{arguments} was opened")
 
     with monkeypatch.context() as patch:
-        patch.setattr(dataset_module, "open_shard", refuse)
-        patch.setattr(h5py, "File", refuse)
+        patch.setattr(shards._DESCRIBER, "describe", refuse)
+        patch.setattr(dataset_module, "checked_shard", refuse)
         dataset = load(tetX_set)
         parts = dataset[::2], pickle.loads(pickle.dumps(dataset))
         assert (len(dataset), [len(part) for part in parts], dataset.is_annotated) == (40, [20, 40], True)
@@ -309,7 +327,6 @@ def test_samples_arrays_may_be_written_to_and_the_next_sample_is_as_before(tetX_
     sample = dataset[3]
     for name in ("image", "segmentation", "rotation", "symmetry_mask"):
         array = getattr(sample, name)
-        assert array.flags.owndata
         array[...] = ~array if array.dtype == bool else array + 1
     assert_is(dataset[3], 3, expected[3])
     np.testing.assert_array_equal(dataset.labels().rotation[3], expected[3]["rotation"])
@@ -350,16 +367,29 @@ def test_shard_that_was_replaced_after_its_first_use_is_an_error_and_never_a_sam
     assert_is(dataset[0], 0, expected[0])
 
 
-def test_set_whose_shards_were_stored_in_another_way_loads_the_same(tetX_set):
+def test_set_whose_shards_another_hdf5_wrote_loads_the_same(tetX_set):
     expected = expected_samples(tetX_set)
     for path in tetX_set.glob("test-*.h5"):
-        with h5py.File(path, "r+") as file:
-            for name in ("image", "segmentation", "rotation"):
-                values = file[name][...]
-                del file[name]
-                file[name] = values
+        copy = path.with_suffix(".copy")
+        with h5py.File(path) as file, h5py.File(copy, "w", libver="latest") as other:
+            other.attrs.update(file.attrs)
+            for name in file:
+                put(other, name, file[name][...], compression_opts=9)
+        copy.replace(path)
+    reseal(tetX_set)
     for index, sample in enumerate(load(tetX_set)):
         assert_is(sample, index, expected[index])
+    assert verify(tetX_set) == []
+
+
+def test_set_whose_shards_were_stored_in_another_way_is_refused_by_the_name_of_the_fault(tetX_set):
+    """Contiguous labels would be HDF5's to read, in this process."""
+    with tampered(tetX_set, "test-00001-of-00003.h5") as file:
+        values = file["rotation"][...]
+        del file["rotation"]
+        file["rotation"] = values
+    with pytest.raises(DataError, match="'rotation': expected the filters gzip and fletcher32"):
+        load(tetX_set)[PER_SHARD]
 
 
 @pytest.mark.parametrize("is_used", [False, True])
@@ -466,13 +496,14 @@ def test_shard_that_vanished_after_loading_is_an_error(tetX_set):
     "name", ["image", "segmentation", "rotation", "marking_pixels", "symmetry_mask", "symmetry_group"]
 )
 def test_damaged_chunk_is_an_error_that_names_the_file_and_never_a_sample(tetX_set, name):
-    path = tetX_set / "test-00001-of-00003.h5"
-    with h5py.File(path) as file:
-        chunk = file[name].id.get_chunk_info(0)
-    data = bytearray(path.read_bytes())
-    data[chunk.byte_offset + chunk.size // 2] ^= 1
-    path.write_bytes(data)
-    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5"):
+    flip_chunk(tetX_set / "test-00001-of-00003.h5", name)
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: is damaged: expected SHA-256 .* --repair"):
+        load(tetX_set)[PER_SHARD]
+    unchecked = rf"test-00001-of-00003\.h5: .*cannot be read: {name}: "
+    with pytest.raises(DataError, match=unchecked):
+        load(tetX_set, check=False)[PER_SHARD]
+    reseal(tetX_set)
+    with pytest.raises(DataError, match=unchecked):
         load(tetX_set)[PER_SHARD]
 
 
@@ -483,7 +514,7 @@ def test_damaged_image_is_an_error_that_names_its_row_and_the_others_are_read(te
     data = bytearray(path.read_bytes())
     data[chunk.byte_offset + chunk.size // 2] ^= 1
     path.write_bytes(data)
-    dataset = load(tetX_set)
+    dataset = load(tetX_set, check=False)
     with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: row 5 cannot be read: image: .*verify"):
         dataset[PER_SHARD + 5]
     for row in (4, 6):
@@ -492,9 +523,9 @@ def test_damaged_image_is_an_error_that_names_its_row_and_the_others_are_read(te
 
 def test_shard_with_fewer_images_than_the_manifest_says_is_an_error(tetX_set):
     shutil.copy(tetX_set / "test-00002-of-00003.h5", tetX_set / "test-00001-of-00003.h5")
-    with h5py.File(tetX_set / "test-00001-of-00003.h5", "r+") as file:
+    with tampered(tetX_set, "test-00001-of-00003.h5") as file:
         file.attrs["first_index"] = PER_SHARD
-    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5"):
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: .*\n.*expected 16 images, found 8"):
         load(tetX_set)[2 * PER_SHARD - 1]
 
 
@@ -508,8 +539,12 @@ def test_shard_of_something_else_is_an_error_and_never_a_sample(tetX_set, tmp_pa
         "of another object": lambda: make_set(tmp_path / "other", "tet", test=16) / "test-00000-of-00001.h5",
     }
     shutil.copy(made[other](), path)
-    with pytest.raises(DataError, match=r"test-00000-of-00003\.h5"):
+    with pytest.raises(DataError, match=r"test-00000-of-00003\.h5: is damaged: expected"):
         load(tetX_set)[0]
+    for check in (False, True):
+        with pytest.raises(DataError, match=r"test-00000-of-00003\.h5: is no shard of this set:\n"):
+            load(tetX_set, check=check)[0]
+        reseal(tetX_set)
 
 
 def test_set_held_as_links_to_a_store_loads_and_verifies(tetX_set, tmp_path):
@@ -521,3 +556,169 @@ def test_set_held_as_links_to_a_store_loads_and_verifies(tetX_set, tmp_path):
         path.symlink_to(store / path.name)
     assert verify(tetX_set) == []
     assert load(tetX_set)[0].symmetry_set.shape[1:] == (3, 3)
+
+
+# Where people keep data
+
+
+def test_working_folder_may_change_after_load(tetX_set, tmp_path, monkeypatch):
+    expected = expected_samples(tetX_set)
+    monkeypatch.chdir(tetX_set.parent)
+    datasets = [load("tetX"), load(Path("tetX")), load("./../" + tetX_set.parent.name + "/tetX")]
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    for dataset in (*datasets, pickle.loads(pickle.dumps(datasets[0])), datasets[0][3:]):
+        assert_is(dataset[-1], TEST_IMAGES - 1, expected[-1])
+        assert len(dataset.labels()) == len(dataset)
+    with pytest.raises(DataError, match=r"tetX: holds no manifest\.json"):
+        load("tetX")
+
+
+def test_folder_that_was_moved_after_load_is_an_error_and_files_that_are_open_are_read(tetX_set, tmp_path):
+    dataset, expected = load(tetX_set), expected_samples(tetX_set)
+    assert dataset[0].index == 0
+    tetX_set.rename(tmp_path / "moved")
+    assert_is(dataset[1], 1, expected[1])
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: no such shard"):
+        dataset[PER_SHARD]
+    dataset.close()
+    with pytest.raises(DataError, match=r"test-00000-of-00003\.h5: "):
+        dataset[0]
+    assert_is(load(tmp_path / "moved")[PER_SHARD], PER_SHARD, expected[PER_SHARD])
+
+
+def test_folder_may_be_named_otherwise_than_its_object(tetX_set, tmp_path):
+    folder = tetX_set.rename(tmp_path / "a set, of last week (ö)")
+    assert load(folder).object == "tetX"
+    assert len(load(folder).labels()) == TEST_IMAGES
+    assert verify(folder) == []
+
+
+def with_notes_of_systems(folder):
+    """Put what macOS and Windows leave on disks beside every file of a set, and beside the set."""
+    for path in list(folder.iterdir()):
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\26\7\0\2\0\0Mac OS X        " + bytes(4000))
+    for place in (folder, folder.parent):
+        for name in (".DS_Store", "Thumbs.db", "desktop.ini", "._.DS_Store"):
+            (place / name).write_bytes(b"mine")
+        (place / ".Trashes").mkdir()
+        (place / ".Trashes" / "manifest.json").write_bytes(b"{}")
+    (folder.parent / f"._{folder.name}").write_bytes(b"mine")
+
+
+def test_notes_of_operating_systems_are_nobodys_shards_and_stay(tetX_set):
+    with_notes_of_systems(tetX_set)
+    before = {path: path.read_bytes() for path in tetX_set.parent.rglob("*") if path.is_file()}
+    assert verify(tetX_set) == []
+    assert len(list(load(tetX_set))) == TEST_IMAGES
+    assert set_folders(tetX_set.parent) == [tetX_set]
+    with pytest.raises(DataError, match=f"it has sets inside: {tetX_set}$"):
+        load(tetX_set.parent)
+    renderer = partial(NumpyRenderer, "tetX", SIZE)
+    generate(SetPlan.of(read_manifest(tetX_set), load_object("tetX")), tetX_set, threads(renderer))
+    assert {path: path.read_bytes() for path in tetX_set.parent.rglob("*") if path.is_file()} == before
+
+
+READ_ONLY = """
+import os, sys
+from pathlib import Path
+from symsol_annot import load
+from symsol_annot.verify import verify
+folder = Path(sys.argv[1])
+if os.geteuid() == 0 and sys.argv[2:]:  # root may write anywhere
+    load(sys.argv[2])[0]  # starts the process that HDF5 lives in, which others may not start where Python is root's
+    os.setgroups([]), os.setresgid(*[65534] * 3), os.setresuid(*[65534] * 3)
+print(len([sample.symmetry_set for sample in load(folder)]), len(load(folder).labels()), verify(folder))
+"""
+
+
+@pytest.fixture
+def open_folder():
+    """A folder that every user can reach, which pytest's own are not."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o755)
+    yield folder
+    for path in (folder, *folder.rglob("*")):
+        path.chmod(0o755)
+    shutil.rmtree(folder)
+
+
+def test_set_that_may_only_be_read_is_loaded_and_verified(tetX_set, open_folder):
+    folder = Path(shutil.copytree(tetX_set, open_folder / "tetX"))
+    for path in folder.iterdir():
+        path.chmod(0o444)
+    folder.chmod(0o555)
+    assert python(READ_ONLY, folder, tetX_set).stdout == "40 40 []\n"
+
+
+def test_set_on_a_disk_mounted_for_reading_alone_is_loaded_and_verified(tetX_set, tmp_path):
+    disk = SmallDisk(tmp_path / "disk")
+    disk.folder.mkdir()
+    disk.resize(4000)
+    try:
+        folder = Path(shutil.copytree(tetX_set, disk.folder / "tetX"))
+        run("mount", "-o", "remount,ro", disk.folder)
+        with pytest.raises(OSError, match="Read-only file system"):
+            (folder / "file").touch()
+        assert python(READ_ONLY, folder).stdout == "40 40 []\n"
+    finally:
+        disk.unmount()
+
+
+@pytest.mark.parametrize("mode", [0o000, 0o200])
+def test_shard_that_may_not_be_read_is_an_error_that_says_so(tetX_set, open_folder, mode):
+    folder = Path(shutil.copytree(tetX_set, open_folder / "tetX"))
+    (folder / "test-00001-of-00003.h5").chmod(mode)
+    code = READ_ONLY.rsplit("print", 1)[0] + "load(folder)[20]"
+    with pytest.raises(AssertionError, match=r"test-00001-of-00003\.h5: cannot be opened: Permission denied"):
+        python(code, folder, tetX_set)  # which takes a traceback for a failure
+
+
+@pytest.mark.parametrize("check", [True, False])
+@pytest.mark.parametrize("kind", ["pipe", "endless device", "folder"])
+def test_what_is_no_file_in_place_of_a_shard_is_an_error_and_not_waited_for(tetX_set, kind, check):
+    path = tetX_set / "test-00001-of-00003.h5"
+    dataset = load(tetX_set, check=check)
+    path.unlink()
+    {"pipe": lambda: os.mkfifo(path), "endless device": lambda: path.symlink_to("/dev/zero"), "folder": path.mkdir}[
+        kind
+    ]()
+    with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: cannot be opened: is (no regular file|a folder)"):
+        dataset[20]
+    with pytest.raises(DataError, match="1 of 3 test shards are missing"):
+        load(tetX_set, check=check)
+
+
+# Checking
+
+
+def test_shard_is_read_whole_at_its_first_use_alone_and_not_at_all_where_checking_is_off(tetX_set, monkeypatch):
+    hashed, sha256 = [], shards.ByteFile.sha256
+    monkeypatch.setattr(shards.ByteFile, "sha256", lambda file: hashed.append(1) or sha256(file))
+    monkeypatch.setattr(dataset_module, "MAX_OPEN_SHARDS", 1)
+    dataset = load(tetX_set)
+    assert hashed == []
+    assert indices(dataset) + indices(dataset) == list(range(TEST_IMAGES)) * 2
+    assert len(hashed) == 3
+    unchecked = load(tetX_set, check=False)
+    assert indices(unchecked) == indices(pickle.loads(pickle.dumps(unchecked))[:]) == list(range(TEST_IMAGES))
+    assert len(hashed) == 3
+
+
+def test_any_flipped_bit_is_an_error_where_checking_is_on_and_one_or_right_where_it_is_off(tetX_set):
+    path, expected, rng = tetX_set / "test-00001-of-00003.h5", expected_samples(tetX_set), random.Random(0)
+    found = {"right": 0, "error": 0}
+    for bit in rng.sample(range(8 * path.stat().st_size), 60):
+        flip_bit(path, bit)
+        with pytest.raises(DataError, match=r"test-00001-of-00003\.h5: is damaged: expected SHA-256"):
+            load(tetX_set)[20]
+        try:
+            with load(tetX_set, check=False) as dataset:
+                for index in range(PER_SHARD, 2 * PER_SHARD):
+                    assert_is(dataset[index], index, expected[index])
+            found["right"] += 1
+        except DataError:
+            found["error"] += 1
+        flip_bit(path, bit)
+    assert min(found.values()) > 0
+    assert_is(load(tetX_set)[20], 20, expected[20])

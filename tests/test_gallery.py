@@ -399,7 +399,6 @@ def test_blender_draws_members_as_it_drew_the_image(tmp_path):
 def test_a_gallery_is_replaced_by_the_next_and_nothing_lies_beside_it(data, tmp_path):
     out = tmp_path / "gallery"
     write_gallery(out, open_sources(data))
-    (out / "sets" / "07-stale-test").mkdir()
     write_gallery(out, open_sources(data / "tetX"))
     assert [path.name for path in tmp_path.iterdir()] == ["gallery"]
     assert [path.name for path in (out / "sets").iterdir()] == ["00-tetX-test"]
@@ -427,7 +426,7 @@ def everything(folder):
 @pytest.mark.parametrize(
     ("stop", "seen"), [(OSError(errno.EIO, "the disk is gone"), OutputError), (KeyboardInterrupt(), KeyboardInterrupt)]
 )
-@pytest.mark.parametrize("moved", ["gallery", ".gallery.partial"])
+@pytest.mark.parametrize("moved", ["gallery", "new"])
 def test_a_gallery_that_cannot_take_its_name_brings_back_the_old_one(data, tmp_path, monkeypatch, moved, stop, seen):
     out, rename = tmp_path / "gallery", Path.rename
     write_gallery(out, open_sources(data / "tetX"))
@@ -443,16 +442,6 @@ def test_a_gallery_that_cannot_take_its_name_brings_back_the_old_one(data, tmp_p
         write_gallery(out, open_sources(data / "cylO"))
     assert everything(out) == before
     assert [path.name for path in tmp_path.iterdir()] == ["gallery"]
-
-
-def test_what_a_killed_run_left_is_swept_up(data, tmp_path):
-    out = tmp_path / "gallery"
-    for left in (".gallery.partial", ".gallery.before"):
-        (tmp_path / left / "sets" / "00-tetX-test" / "00000").mkdir(parents=True)
-        (tmp_path / left / "index.html").write_text("half")
-    write_gallery(out, open_sources(data / "tetX"))
-    assert [path.name for path in tmp_path.iterdir()] == ["gallery"]
-    assert (out / "data" / "index.js").is_file()
 
 
 def test_a_folder_that_another_process_writes_is_left_to_it(data, tmp_path):
@@ -512,6 +501,26 @@ def test_what_somebody_put_into_a_gallery_is_not_removed(gallery, data, tmp_path
         write_gallery(out, open_sources(data / "tetX"))
     assert (out / name).exists()
     assert everything(out) == before
+
+
+@pytest.mark.parametrize("name", ["index.html", "sets/00-cylO-test/00000/image-000000.png", "data/SHA256SUMS"])
+def test_a_file_of_a_gallery_that_somebody_changed_is_not_removed(gallery, data, tmp_path, name):
+    out = shutil.copytree(gallery, tmp_path / "gallery")
+    (out / name).write_bytes((out / name).read_bytes() + b"mine")
+    before = everything(out)
+    with pytest.raises(OutputError, match="Nothing was touched"):
+        write_gallery(out, open_sources(data / "tetX"))
+    assert everything(out) == before
+
+
+@pytest.mark.parametrize("name", [".DS_Store", "sets/.DS_Store", "._index.html", "assets/Thumbs.db"])
+def test_what_the_system_keeps_in_a_gallery_stays(gallery, data, tmp_path, name):
+    out = shutil.copytree(gallery, tmp_path / "gallery")
+    (out / name).write_bytes(b"icons")
+    write_gallery(out, open_sources(data / "tetX"))
+    assert (out / name).read_bytes() == b"icons"
+    write_gallery(out, open_sources(data / "cylO"))
+    assert (out / name).read_bytes() == b"icons"
 
 
 def test_all_that_a_gallery_holds_is_known_as_its_own(gallery, data, tmp_path):

@@ -34,6 +34,7 @@ from symsol_annot.locks import locked
 from symsol_annot.manifest import read_manifest, write_manifest
 from symsol_annot.plan import label_rotation
 from symsol_annot.scene import Camera, RenderSettings
+from symsol_annot.scratch import Scratch
 from symsol_annot.verify import verify
 
 SIZE, IMAGES, PER_SHARD = 16, 64, 16
@@ -332,32 +333,42 @@ def killed_at_write(plan, folder, moment):
 
 
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-@pytest.mark.parametrize("moment", range(10))  # a file and its folder: manifest, shard, manifest, shard, manifest
-def test_set_whose_run_was_killed_at_any_write_is_continued_to_the_same_bytes(tmp_path, moment):
+@pytest.mark.parametrize(("moment", "left"), [*enumerate([1, 2, 1, 0, 1, 0, 1, 0, 1, 0])])
+def test_set_whose_run_was_killed_at_any_write_is_continued_to_the_same_bytes(tmp_path, moment, left):
+    """A shard, the first manifest, and both folders; a manifest and its folder; a shard and its; a manifest and its."""
     plan, killed, whole = small_plan(test=20), tmp_path / "killed", tmp_path / "whole"
     process = multiprocessing.get_context("fork").Process(target=killed_at_write, args=(plan, killed, moment))
     process.start()
     process.join(timeout=60)
     assert process.exitcode == -signal.SIGKILL
-    assert len([path for path in killed.iterdir() if "partial" in path.name]) == (moment + 1) % 2
+    assert len([path for path in killed.iterdir() if path.name.startswith(".symsol-annot-")]) == left
     generate(plan, killed, threads(Opener()))
     generate(plan, whole, threads(Opener()))
     assert contents(killed) == contents(whole)
 
 
-def test_partial_files_of_a_killed_run_are_swept_and_nothing_else(tmp_path, half):
-    # also one of a shard that is finished, which no write of this run replaces
-    partial_files = (".manifest.json.partial", ".test-00000-of-00004.h5.partial", ".test-00003-of-00004.h5.partial")
-    strangers = {"notes.partial": b"mine", ".hidden": b"mine", "README": b"mine"}
+def leave_scratch(folder):
+    """Leave a scratch folder with half a shard, as a process does that is killed."""
+    left = Scratch(beside=Path(folder))
+    (left.path / "new").write_bytes(b"half of it")
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_what_a_killed_run_left_is_swept_and_nothing_else(tmp_path, half):
+    strangers = (".manifest.json.partial", ".test-00000-of-00004.h5.partial", "notes", ".hidden", ".symsol-annot-notes")
     for folder in (half, tmp_path / "new"):
         folder.mkdir(exist_ok=True)
-        for name in partial_files:
-            (folder / name).write_bytes(b"half of it")
-        for name, data in strangers.items():
-            (folder / name).write_bytes(data)
+        for name in strangers:
+            (folder / name).write_bytes(b"mine")
+        process = multiprocessing.get_context("fork").Process(target=leave_scratch, args=(folder,))
+        process.start()
+        process.join(timeout=60)
+        assert len(list(folder.glob(".symsol-annot-*/new"))) == 1
         generate(small_plan(), folder, threads(Opener()))
         shards = {entry.file for entry in read_manifest(folder).shards}
         assert set(contents(folder)) == {"manifest.json", *shards, *strangers}
+        assert {(folder / name).read_bytes() for name in strangers} == {b"mine"}
 
 
 def test_error_in_one_worker_stops_the_others_and_closes_all_renderers(tmp_path):
@@ -592,9 +603,11 @@ def small_disk(tmp_path):
         subprocess.run(["umount", str(folder)], check=True)
 
 
-# A shard takes 32 KiB and a manifest 4; so the disk fills up in the middle of a shard, or just before its manifest.
+# A shard takes 32 KiB, a manifest 4, and the mark of what is not in its place 4; the first manifest is written before
+# the shard is in its place. So the disk fills up in the middle of a shard, or just before its manifest.
 @pytest.mark.parametrize(
-    ("kibibytes", "kept", "workers"), [(4, 0, 1), (20, 0, 1), (36, 1, 1), (60, 1, 1), (100, 3, 1), (90, 0, 2)]
+    ("kibibytes", "kept", "workers"),
+    [(4, 0, 1), (20, 0, 1), (40, 0, 1), (44, 1, 1), (68, 1, 1), (108, 3, 1), (90, 0, 2)],
 )
 def test_full_disk_keeps_whole_shards_and_the_same_call_finishes_after_making_room(
     small_disk, undisturbed, kibibytes, kept, workers

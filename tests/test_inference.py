@@ -1,5 +1,6 @@
 """Predictions of trained models: what the model says, image by image; and rotations that fit several views."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -12,12 +13,12 @@ from conftest import make_set
 
 from symsol_annot.bench import inference
 from symsol_annot.bench.checkpoints import Checkpoint, TrainingRecord, new_model
-from symsol_annot.bench.inference import predict
+from symsol_annot.bench.inference import identity, predict
 from symsol_annot.bench.queries import Queries
 from symsol_annot.bench.recipe import load_recipe
 from symsol_annot.bench.views import in_all_views, probability_in_all_views
 from symsol_annot.dataset import load
-from symsol_annot.errors import ModelError, RotationError
+from symsol_annot.errors import ModelError, PredictionsError, RotationError
 from symsol_annot.grid import equivolumetric_grid
 from symsol_annot.so3 import uniform_rotations
 
@@ -92,6 +93,96 @@ def test_a_gpu_that_is_too_small_takes_fewer_images_at_once(test_split, tmp_path
     monkeypatch.setattr(inference, "all_hypotheses", lambda *_: hungry(*_[:2], 64))
     with pytest.raises(ModelError, match="does not hold the network and a single image"):
         predict(checkpoint("small-wta"), test_split, tmp_path / "preds.h5", CPU)
+
+
+# --- stopped, and resumed ---
+
+MODELS = {"hypotheses": "small-wta", "classifier": "small-classifier"}
+every_track = pytest.mark.parametrize("track", MODELS)
+
+
+def stop(monkeypatch, given, images, path, **options):
+    """Predict, and be interrupted at the fourth image."""
+    asked = {"small-wta": "all_hypotheses", "small-classifier": "embedded"}[given.record.name]
+    run, calls = getattr(inference, asked), []
+
+    def interrupted(*arguments):
+        calls.append(1)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return run(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(inference, "_BLOCK", 1)
+        patch.setattr(inference, asked, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            predict(given, images, path, CPU, level=0, **options)
+
+
+def other_weights(track):
+    """A checkpoint of the same recipe whose weights differ in one number's last bit."""
+    other = checkpoint(MODELS[track])
+    weight = next(iter(other.model.parameters()))
+    weight.data.view(torch.int32).view(-1)[0] ^= 1
+    return other
+
+
+def columns(path):
+    with h5py.File(path) as file:
+        return {name: file[name][...] for name in file}
+
+
+@every_track
+def test_the_same_model_resumes_and_a_line_says_what_is_kept(test_split, tmp_path, monkeypatch, caplog, track):
+    path = tmp_path / "preds.h5"
+    stop(monkeypatch, checkpoint(MODELS[track]), test_split, path)
+    copied = dataclasses.replace(checkpoint(MODELS[track]), path=tmp_path / "a" / "copy")
+    predict(copied, test_split, path, CPU, level=0)
+    (line,) = caplog.messages
+    assert re.search(r"3 of 5 answers are kept of small-\w+ after 0 of 1 epochs, SHA-256 [0-9a-f]{64}, by symsol", line)
+    predict(checkpoint(MODELS[track]), test_split, tmp_path / "whole.h5", CPU, level=0)
+    resumed, whole = columns(path), columns(tmp_path / "whole.h5")
+    for name in whole:
+        np.testing.assert_allclose(resumed[name], whole[name], atol=1e-5)
+
+
+@every_track
+def test_another_models_answers_are_refused_by_the_name_of_both(test_split, tmp_path, monkeypatch, track):
+    path, first, second = tmp_path / "preds.h5", checkpoint(MODELS[track]), other_weights(track)
+    stop(monkeypatch, first, test_split, path)
+    assert identity(first) != identity(second)
+    with pytest.raises(PredictionsError) as refused:
+        predict(second, test_split, path, CPU, level=0)
+    for model in (first, second):
+        assert identity(model) in str(refused.value)
+    assert len(list((tmp_path / "preds.h5.parts" / track).glob("*.answer"))) == 3
+    assert not path.exists()
+    predict(first, test_split, path, CPU, level=0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"), [({"method": "b"}, "method there 'a', now 'b'"), ({}, "method there 'a'")]
+)
+def test_another_method_or_level_does_not_resume(test_split, tmp_path, monkeypatch, changes, words):
+    path = tmp_path / "preds.h5"
+    stop(monkeypatch, checkpoint("small-classifier"), test_split, path, method="a")
+    with pytest.raises(PredictionsError, match=words):
+        predict(checkpoint("small-classifier"), test_split, path, CPU, level=0, **changes)
+    with pytest.raises(PredictionsError, match="grid_level there 0, now 1"):
+        predict(checkpoint("small-classifier"), test_split, path, CPU, level=1, method="a")
+
+
+@pytest.mark.parametrize("change", [{"epochs": 2}, {"rows": ({"loss": 1.0},)}])
+def test_a_models_name_tells_its_training(change):
+    given = checkpoint("small-wta")
+    assert identity(given) == identity(checkpoint("small-wta"))
+    assert identity(dataclasses.replace(given, record=dataclasses.replace(given.record, **change))) != identity(given)
+
+
+def test_answers_of_another_version_of_the_program_are_another_models(monkeypatch):
+    before = identity(checkpoint("small-wta"))
+    monkeypatch.setattr("symsol_annot.__version__", "99.0")
+    assert identity(checkpoint("small-wta")) != before
 
 
 # --- several views ---

@@ -1,5 +1,6 @@
 """The leaderboard shows what the files of results say, and refuses files that nobody could check."""
 
+import html
 import importlib.util
 import json
 import os
@@ -9,10 +10,12 @@ import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
+import markdown
 import numpy as np
 import pytest
 from bench_sets import small_set
 from click.testing import CliRunner
+from mkdocs.config import load_config
 from scipy.spatial.transform import Rotation
 from symsol_annot_cli.leaderboard import leaderboard
 
@@ -20,6 +23,7 @@ from symsol_annot.bench import report
 from symsol_annot.bench.leaderboard import read_leaderboard
 from symsol_annot.bench.leaderboard_page import to_markdown
 from symsol_annot.bench.metric_table import Place, metrics_shown
+from symsol_annot.bench.reference import score_row
 from symsol_annot.bench.scores_file import figures_that_differ
 from symsol_annot.bench.scoring import score_file
 from symsol_annot.bench.submission import write_classifier, write_hypotheses
@@ -109,17 +113,130 @@ def test_rows_hold_the_figures_of_the_scores_the_best_first(folder):
     assert rows[3][-1] == "[far](files/tiny/far.json)"
 
 
+def test_each_row_of_hypotheses_has_its_M(folder):
+    rows = tables_of(page_of(folder))["tetX, hypotheses"]
+    assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "1"]
+    assert "M" not in tables_of(page_of(folder))["tetX, classifier"][0]
+
+
+def test_nobody_ranks_first_by_listing_everything(folder, images, tmp_path):
+    labels = images.labels()
+    for ending in ("toml", "json"):
+        (folder / "tiny" / f"far.{ending}").unlink()
+    rng = np.random.default_rng(0)
+    noise = Rotation.random(len(labels) * 400, random_state=rng).as_matrix().reshape(len(labels), 400, 3, 3)
+    everything = np.concatenate([labels.rotation[:, None] @ labels.symmetry_group, noise], axis=1)
+    weights = np.full(everything.shape[:2], 1e-30)
+    weights[:, 0] = 1.0  # the first is right; the others hardly count for precision, but fully for recall
+    for name, given in {"listed": None, "weighted": weights}.items():
+        path = tmp_path / f"{name}.h5"
+        write_hypotheses(path, images, everything, method=name, weights=given, progress=False)
+        document = report.to_document([score_file(path, images.folder)], [path])
+        (folder / "tiny" / f"{name}.json").write_text(report.to_json(document))
+        toml = (folder / "tiny" / "near.toml").read_text().replace("The near one", f"The {name} one")
+        (folder / "tiny" / f"{name}.toml").write_text(toml)
+    page = page_of(folder)
+    rows = tables_of(page)["tetX, hypotheses"]
+    assert rows[2][0] == "The near one"
+    assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "412", "412"]
+    assert [row[rows[0].index("recall mean error, rad (5.7) ↓")][:6] for row in rows[3:]] == ["0.0000", "0.0000"]
+    assert "How results rank" in page
+
+
+def test_reference_rows_stand_below_the_results_without_a_rank(folder, images, tmp_path):
+    (folder / "tiny" / "reference").mkdir()
+    document = score_row("truth", [images], tmp_path, 0)  # on a grid that does not rank
+    assert not document["ranks"]
+    path = folder / "tiny" / "reference" / "truth.json"
+    path.write_text(report.to_json(document))
+    rows = tables_of(page_of(folder))["tetX, hypotheses"]
+    assert [row[0] for row in rows[2:]] == ["The near one", "The far one", "*truth*"]
+    assert rows[4][1:3] == ["reference", "9"]
+    assert rows[4][-1] == "[truth](files/tiny/reference/truth.json)"
+    edited(path, "objects", "tetX", "fingerprint", value="0" * 64)
+    with pytest.raises(ScoresError, match=r"reference/truth\.json: .*fingerprint: expected"):
+        read_leaderboard(folder)
+
+
+def test_code_may_stand_in_place_of_commands(folder):
+    change_of("far.toml", 'commands = ["./far.sh"]', 'code = "https://example.org/far"')(folder / "tiny")
+    assert "https&#58;//example.org/far" in page_of(folder)
+    change_of("far.toml", 'code = "https://example.org/far"', 'code = " "')(folder / "tiny")
+    with pytest.raises(ScoresError, match="commands, code: one of them has to say"):
+        read_leaderboard(folder)
+
+
+@pytest.mark.parametrize(
+    "words", ["::: symsol_annot", "!!! note", "# heading", "<script>alert(1)</script>", "[x](javascript:1)"]
+)
+def test_hostile_words_in_every_field_are_words_on_the_built_page(words, folder):
+    quoted = json.dumps(words)
+    place = folder / "tiny"
+    change_of("far.toml", '"The far one"', quoted)(place)
+    change_of("far.toml", '"a lab"', quoted)(place)
+    change_of("far.toml", '"an abacus"', f"{quoted}\nnotes = {quoted}\ncode = {quoted}")(place)
+    change_of("far.toml", 'commands = ["./far.sh"]', f"commands = [{json.dumps('```')}, {quoted}]")(place)
+    change_of("far.toml", "minutes = 3.25", f"minutes = 3.25\nfirst_stage = {quoted}")(place)
+    change_of("set.toml", 'title = "Tiny"', f"title = {quoted}\nnotes = {quoted}")(place)
+    config = load_config(str(ROOT / "mkdocs.yml"))
+    page = markdown.markdown(
+        page_of(folder), extensions=config.markdown_extensions, extension_configs=config.mdx_configs
+    )
+    shown = html.unescape(re.sub(r"<[^>]*>", "", page))
+    assert shown.count(words) == 13  # two rows' titles and names, five facts, a command, a first stage, a set's two
+    assert not re.search(r"<script|javascript:1\"|admonition|doc ", page)
+    assert page.count("<pre") == 3  # of the set and of two results
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = " + "[" * 100_000, "cannot be read"),
+        ("x = 1\n" * 60_000, "larger than"),
+        ("\n".join(f"k{i} = 1" for i in range(5_000)), " faults more"),
+        ("title = " + json.dumps("x" * 100_000) + "\ndate = " + json.dumps("y" * 100_000), "date: expected a date"),
+        ('"\\u001b[2J" = 1', r"'\x1b[2J': is no key of a result"),
+        ("\x00", "cannot be read"),
+    ],
+)
+def test_a_hostile_toml_ends_in_a_short_message(text, said, folder):
+    (folder / "tiny" / "far.toml").write_text(text)
+    with pytest.raises(ScoresError) as refused:
+        read_leaderboard(folder)
+    assert said in str(refused.value)
+    assert len(str(refused.value)) < 10_000
+    assert all(line.isprintable() for line in str(refused.value).splitlines())
+
+
+def test_what_an_operating_system_leaves_in_folders_is_passed_over(folder):
+    (folder / ".git").mkdir()
+    (folder / "tiny" / "._far.toml").write_bytes(b"\x00")
+    (folder / "tiny" / ".DS_Store").write_bytes(b"\x00")
+    read_leaderboard(str(folder))
+
+
 def test_a_row_of_the_thesis_has_what_was_run_below_it_or_says_that_nothing_was(folder):
     page = page_of(folder)
     table = tables_of(page)["Table 5.2, precision: mean error, rad"]
     thesis = tomllib.loads((FILES / "thesis.toml").read_text())["tables"]["Table 5.2, precision: mean error, rad"]
-    assert [row[0].strip("`") for row in table[2:] if row[1] == "thesis"] == list(thesis["rows"])
+    assert [row[0].strip("`") for row in table[2:] if row[1].startswith("thesis, M = 30")] == list(thesis["rows"])
     for recipe, values in thesis["rows"].items():
         row = next(row for row in table if row[0] == f"`{recipe}`")
+        assert row[1] == "thesis, M = 30, 75"  # the icosahedron has 60 members
         assert row[2:] == ["" if np.isnan(value) else f"{value:.3f}" for value in values]
     here = {table[i - 1][0]: row for i, row in enumerate(table) if row[1].startswith("here, ")}
-    assert here["`ewta-von-mises`"] == ["`ewta-von-mises`", "here, tiny/near", "", "", "", "", "", "**0.010**", ""]
-    assert here["`wta-von-mises`"][:2] == ["`small-wta`", "here, tiny/far"]  # which stands for it
+    assert here["`ewta-von-mises`"] == [
+        "`ewta-von-mises`",
+        "here, tiny/near, M = 1",
+        "",
+        "",
+        "",
+        "",
+        "",
+        "**0.010**",
+        "",
+    ]
+    assert here["`wta-von-mises`"][:2] == ["`small-wta`", "here, tiny/far, M = 1"]  # which stands for it
     assert "Not run here: `wta-cosine`, `rwta-cosine`, `rwta-von-mises`, `ewta-cosine`.\n" in page
 
 
@@ -132,8 +249,8 @@ def test_each_result_by_a_recipe_has_its_row_beside_the_thesis(folder):
     rows = tables_of(page_of(folder))["Table 5.1, recall: mean error, rad"]
     at = next(i for i, row in enumerate(rows) if row[0] == "`wta-von-mises`")
     assert [row[:2] for row in rows[at + 1 : at + 3]] == [
-        ["`wta-von-mises`", "here, tiny/far"],
-        ["`small-wta`", "here, tiny/z-again"],
+        ["`wta-von-mises`", "here, tiny/far, M = 1"],
+        ["`small-wta`", "here, tiny/z-again, M = 1"],
     ]
 
 
@@ -160,7 +277,8 @@ def test_a_strangers_set_is_text(folder):
     title = 'title = "Tiny"\n'
     change_of("set.toml", title, title + r'notes = "<script>x</script> [y](z)\n\u202e# `h`"' + "\n")(folder / "tiny")
     line = next(line for line in page_of(folder).splitlines() if "of the test split" in line)
-    assert line.endswith(r"of the test split. \<script\>x\</script\> \[y\](z) \# \`h\`")
+    assert html.unescape(line).endswith("of the test split. <script>x</script> [y](z) # `h`")
+    assert not set(line) & set("<>[]`")
 
 
 @pytest.mark.parametrize("name", ["a|b", "[x](http:evil)", "<b>", "a b", "é", "a\nb", "`"])
@@ -214,11 +332,11 @@ def test_no_figure_of_the_page_can_be_left_out(track, folder):
         (
             "wta-cosine = [0.018,",
             "wta-cosine = [0.018, 0.5,",
-            "rows.wta-cosine: expected a number an object, 7, found 8",
+            "rows.wta-cosine: expected a number per object, 7, found 8",
         ),
-        ("ewta-cosine = [0.942,", "ewta-cosine = [", "rows.ewta-cosine: expected a number an object, 7, found 6"),
+        ("ewta-cosine = [0.942,", "ewta-cosine = [", "rows.ewta-cosine: expected a number per object, 7, found 6"),
         ("ewta-cosine = [0.942,", "'<b>' = [0.942,", "rows: there is no recipe '<b>' built in"),
-        ('["tet", ', '["<b>", ', "objects: '<b>': a name has letters"),
+        ('["tet", ', '["<b>", ', "objects: '<b>': an object's name has 1 to 64 letters"),
         ('= "small-ewta"', '= "small-etwa"', "small.ewta-von-mises: there is no recipe 'small-etwa' built in"),
     ],
 )
@@ -295,8 +413,8 @@ RECALL = ("objects", "tetX", "hypotheses", "all", "recall_mean_error_rad")
             "objects.tetX.processor_minutes: expected a finite number, 0 or more, found inf",
         ),
         (change_of("set.toml", f"images = {IMAGES}", "images = 0"), "set.toml: images: expected 1 or more, found 0"),
-        (change_of("set.toml", '"test"', '"<b>"'), "set.toml: split: '<b>': a name has"),
-        (change_of("set.toml", "tetX =", "'<b>' ="), "set.toml: fingerprints: '<b>': a name has"),
+        (change_of("set.toml", '"test"', '"<b>"'), "set.toml: split: expected one of train, test, found '<b>'"),
+        (change_of("set.toml", "tetX =", "'<b>' ="), "set.toml: fingerprints: '<b>': an object's name has"),
         (scores_with(*RECALL, value={"value": 0.1}), "all.recall_mean_error_rad has no value with an interval"),
         (scores_with("objects", "tetX", "per_image", "strata", value={"all": [0]}), "strata has others than shown"),
         (change_of("set.toml", f"images = {IMAGES}", "images = 1"), f"images: expected 1, found {IMAGES}"),

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import re
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import pytest
 from conftest import make_plan
 
 from symsol_annot.errors import DataError, OutputError
-from symsol_annot.manifest import Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.manifest import MAX_MANIFEST_BYTES, Manifest, ShardEntry, read_manifest, write_manifest
 from symsol_annot.scene import RenderSettings
 
 RECIPE = {
@@ -18,7 +19,7 @@ RECIPE = {
     "object_sha256": "ab" * 32,
     "seed": 7,
     "camera": {"distance": 4.0, "focal_px": 27.9, "width": 16, "height": 16},
-    "render": {"engine": "workbench", "body_colour": [0.72, 0.8, 0.94]},
+    "render": RenderSettings().to_dict(),
     "tolerance_px": 5.0,
     "annotate": "test",
 }
@@ -302,6 +303,129 @@ def test_file_that_is_no_json_is_refused(tmp_path, data):
 def test_json_that_is_no_manifest_is_refused(tmp_path, text):
     (tmp_path / "manifest.json").write_text(text)
     with pytest.raises(DataError, match="is no manifest of a set"):
+        read_manifest(tmp_path)
+
+
+def at(document, place):
+    """The table or list that a path of names leads to, but for its last name."""
+    for name in place[:-1]:
+        document = document[name]
+    return document
+
+
+SHARD = ("splits", "test", "shards", 0)
+NOT_A_NAME = [
+    "",
+    "..",
+    "../mug",
+    "/tmp/mug",
+    "a/b",
+    "mug\x1b[2J",
+    "-mug",
+    "x" * 65,
+    "mug\n",
+    "\uff4dug",
+    None,
+    3,
+    ["mug"],
+]
+NO_COUNT = [-1, 0, 501, 1.0, True, "1", None, 10**30, [], {}]
+NO_DIGEST = ["", "0" * 63, "0" * 65, "G" * 64, "AB" * 32, 0, True, [], "0" * 63 + "\n"]
+WRONG = {
+    ("object",): NOT_A_NAME,
+    ("object_sha256",): [*NO_DIGEST, None],
+    ("seed",): [-1, 2**63, 1.0, True, "1", None, 10**400, []],
+    ("annotate",): ["train", "", None, 1, True, [], {}],
+    ("tolerance_px",): [0.0, -1.0, 5, True, "5", 1e999, [], {}],
+    ("camera",): [None, [], "camera", 1, {}, {"width": 16, "height": 16}],
+    ("camera", "width"): [0, 15, 2049, 16.0, True, "16", None, 10**30, []],
+    ("camera", "height"): [0, -16, 2049, 16.5, True, None, {}],
+    ("camera", "distance"): [1.0, 0.0, -4.0, 4, True, "4", None, 1e999, []],
+    ("camera", "focal_px"): [0.0, -1.0, 27, None, 1e999, "x"],
+    ("camera", "tilt"): [1.0],
+    ("render",): [None, [], "workbench", 1, {}, {"engine": "workbench"}],
+    ("render", "engine"): ["", "luxcore", None, 1, True, [], {}, ["workbench"]],
+    ("render", "samples_per_axis"): [0, 1, 3, 16, 2.0, True, "2", None, [], 10**30],
+    ("render", "body_colour"): [
+        None,
+        1,
+        "red",
+        [],
+        [0.5, 0.5],
+        [0.5] * 4,
+        [2, 0, 0],
+        [-0.1, 0, 0],
+        ["0"] * 3,
+        [None] * 3,
+    ],
+    ("render", "marking_colour"): [[True, 0, 0], [[0.5] * 3] * 3, {"r": 1}, [1e999, 0, 0]],
+    ("render", "ambient"): [-0.1, 1.1, None, "0", True, [], 1e999],
+    ("render", "diffuse"): [2, None, [0.5]],
+    ("render", "shadows"): [True],
+    ("note",): ["mine"],
+    ("source",): [None, {}, "elsewhere"],
+    ("splits",): [None, [], "test", 1, {"validation": {}}],
+    ("splits", "test"): [None, [], 1],
+    ("splits", "test", "shards"): [None, {}, "test", [None], [[]], ["test-00000-of-00001.h5"]],
+    ("splits", "test", "images"): NO_COUNT,
+    ("splits", "test", "annotated"): [False, 1, None],
+    (*SHARD, "images"): NO_COUNT,
+    (*SHARD, "first_index"): [1, -1, 0.0, False, "0", None, 10**30],
+    (*SHARD, "bytes"): [0, -1, 1.0, True, "1", None, 2**40, 10**30, []],
+    (*SHARD, "sha256"): [*NO_DIGEST, None],
+    (*SHARD, "content_sha256"): [*NO_DIGEST, None],
+    (*SHARD, "split"): ["train"],
+    (*SHARD, "note"): ["mine"],
+}
+
+
+@pytest.mark.parametrize("place", WRONG, ids=lambda place: ".".join(map(str, place)))
+def test_field_of_a_wrong_type_or_beyond_its_limits_is_refused_even_with_right_digests(tmp_path, document, place):
+    taken = []
+    for value in WRONG[place]:
+        changed = json.loads(json.dumps(document))
+        at(changed, place)[place[-1]] = value
+        write_sealed(tmp_path, changed)
+        try:
+            read_manifest(tmp_path)
+            taken.append(value)
+        except DataError as error:
+            assert "damaged or was edited" in str(error)  # noqa: PT017 - which values are taken is what the test tells
+    assert taken == []
+
+
+def test_shards_may_be_as_large_as_their_images_and_no_larger(tmp_path):
+    for size, is_taken in ((19 * 16 * 16 * 4 + 2**20, True), (2**27, False)):
+        manifest = with_entry(1, bytes=size)
+        write_manifest(tmp_path, manifest)
+        if is_taken:
+            assert read_manifest(tmp_path) == manifest
+        else:
+            with pytest.raises(DataError, match="damaged or was edited"):
+                read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize("count", [1, 3, 40])
+def test_shards_that_do_not_follow_on_are_refused_even_with_right_digests(tmp_path, document, count):
+    shards = document["splits"]["test"]["shards"]
+    for change in (shards[::-1], shards[1:], shards * count + shards, [shards[0]] * 2):
+        changed = json.loads(json.dumps(document))
+        changed["splits"]["test"]["shards"] = change
+        write_sealed(tmp_path, changed)
+        with pytest.raises(DataError, match="damaged or was edited"):
+            read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "endless", "folder", "too large"])
+def test_what_is_no_file_of_a_manifests_size_is_refused_and_not_waited_for(tmp_path, kind):
+    path = tmp_path / "manifest.json"
+    {
+        "pipe": lambda: os.mkfifo(path),
+        "endless": lambda: path.symlink_to("/dev/zero"),
+        "folder": path.mkdir,
+        "too large": lambda: (path.touch(), os.truncate(path, MAX_MANIFEST_BYTES + 1)),
+    }[kind]()
+    with pytest.raises(DataError, match=r"manifest\.json: cannot be read: is "):
         read_manifest(tmp_path)
 
 

@@ -1,5 +1,8 @@
 """Reading mesh.obj: what a good file says is what is read, and every fault is refused where it stands."""
 
+import time
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -167,6 +170,11 @@ FIRST_CORNER = f"v {H!r} {H!r} {H!r}"
         "v 0.5 0.5 0.5 1",
         "v",
         "v 0,5 0,5 0,5",
+        "v 1_0 0 0",
+        "v 0.5 0.5 0.5_0",
+        "v \u0660.\u0665 0 0",
+        "v 0.5 infinity 0.5",
+        "v 0x1 0 0",
     ],
 )
 def test_a_vertex_is_three_finite_numbers(fault_of, new):
@@ -205,7 +213,9 @@ def test_a_face_has_at_least_3_corners(fault_of, new, count):
     assert fault_of(text) == f"line {line}: a face needs at least 3 corners, found {count}"
 
 
-@pytest.mark.parametrize("index", ["5", "0", "-1", "1.0", "x", "+1", "²", "999999999999999999999"])
+@pytest.mark.parametrize(
+    "index", ["5", "0", "-1", "1.0", "x", "+1", "²", "999999999999999999999", "٣", "1_0", "1e0", "0x1"]
+)
 def test_a_face_names_vertices_that_exist(fault_of, index):
     text, line = replaced(TETRAHEDRON, "f 2 4 3", f"f 2 4 {index}")
     assert fault_of(text) == f"line {line}: vertex {index!r} does not exist; 4 are defined above this line, from 1"
@@ -225,6 +235,98 @@ def test_a_vertex_is_defined_above_the_face_that_uses_it(fault_of):
 
 def test_comments_and_blank_lines_count_as_lines(fault_of):
     assert fault_of("# one\n\n# three\nv 0 0 x\n").startswith("line 4: ")
+
+
+@pytest.mark.parametrize("new", ["v 1e308 0 0", "v 0 -1e31 0", "v 1e300 1e300 1e300"])
+def test_a_vertex_whose_square_is_no_number_is_refused(fault_of, new):
+    text, line = replaced(TETRAHEDRON, FIRST_CORNER, new)
+    assert fault_of(text) == f"line {line}: expected a vertex within 1e+30, found '{new[2:]}'"
+
+
+@pytest.mark.parametrize("new", ["vn 1e-200 0 0", "vn 5e-324 0 0"])
+def test_a_normal_whose_direction_is_lost_in_rounding_is_refused(fault_of, new):
+    text, line = replaced(CUBE, "vn 0 0 7", new)
+    assert fault_of(text) == f"line {line}: expected a normal longer than 1e-30, found '{new[3:]}'"
+
+
+@pytest.mark.parametrize("length", [1e-29, 1e-8, 1e15, 1e30])
+def test_a_normal_of_any_length_within_that_is_the_same_direction(read, length):
+    np.testing.assert_array_equal(
+        read(CUBE.replace("vn 0 0 7", f"vn 0 0 {length!r}")).corner_normals, read(CUBE).corner_normals
+    )
+
+
+# --- files that were made to do harm ---
+
+POINTS, CORNER_LINES = "\n".join(TETRAHEDRON.splitlines()[:4]) + "\n", "f 1 2 3 4\n"
+BOMBS = {
+    "a line of 60 MB": (" " * 60_000_000, "more than 1,048,576 characters in line 1"),
+    "a face of 10^6 corners": (POINTS + "f" + " 1" * 600_000, "more than 1,048,576 characters in line 5"),
+    "a face of 500,000 corners": (POINTS + "f" + " 1" * 500_000, "more than 250,000 triangles"),
+    "250,000 triangles and two": (POINTS + CORNER_LINES * 125_001, "more than 250,000 triangles"),
+    "a quarter million of vertices": ("v 0.1 0.2 0.3\n" * 250_001, "more than 250,000 vertices or normals"),
+    "a quarter million of normals": ("vn 0 0 1\n" * 250_001, "more than 250,000 vertices or normals"),
+    "millions of lines": ("\n" * 3_000_001, "more than 3,000,000 lines"),
+    "an index of 10^6 digits": (POINTS + f"f 1 2 {'9' * 1_000_000}", "line 5: vertex '9999"),
+    "an index of zeros and one": (POINTS + f"f 1 2 {'0' * 1_000_000}3", "line 5: vertex '0000"),
+    "a number of 10^6 digits": (f"v 1 2 {'9' * 1_000_000}", "line 1: expected a vertex as three finite numbers"),
+    "a keyword of 10^6 letters": ("x" * 1_000_000, "line 1: unknown statement 'xxx"),
+    "a material of 10^6 letters": (f"usemtl {'x' * 1_000_000}", "line 1: expected 'usemtl body'"),
+    "NUL bytes": ("\0" * 1000 + TETRAHEDRON, "line 1: unknown statement '\\x00"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), BOMBS.values(), ids=BOMBS)
+def test_a_mesh_without_end_is_one_short_error_in_time(fault_of, text, said):
+    start = time.process_time()
+    message = fault_of(text)
+    assert time.process_time() - start < 10.0
+    assert message.startswith(said)
+    assert len(message) < 500
+
+
+def test_words_without_end_take_no_more_memory_than_a_line_may(read):
+    """60 MB of short words, as a list of them 2 GB."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(ObjectError, match="more than 1,048,576 characters in line 1"):
+            read("f" + " 1" * 30_000_000)
+        assert tracemalloc.get_traced_memory()[1] < 2**29
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_mesh_of_fifty_thousand_triangles_is_read_in_time(read):
+    start = time.process_time()
+    mesh = read(sphere(115))
+    assert time.process_time() - start < 10.0
+    assert len(mesh.triangles) == 4 * 115 * 114
+
+
+def sphere(rows):
+    """A sphere of meridians and parallels, its quadrilaterals not split."""
+    columns = 2 * rows
+    angles = np.arange(columns) * np.pi / rows
+    lines = ["v 0 0 1", "v 0 0 -1"]
+    for polar in np.arange(1, rows) * np.pi / rows:
+        x, y, z = np.sin(polar) * np.cos(angles), np.sin(polar) * np.sin(angles), np.cos(polar)
+        lines += [f"v {x[j]:.15f} {y[j]:.15f} {z:.15f}" for j in range(columns)]
+
+    def at(row, column):
+        return 3 + (row - 1) * columns + column % columns
+
+    for j in range(columns):
+        lines += [f"f 1 {at(1, j)} {at(1, j + 1)}", f"f 2 {at(rows - 1, j + 1)} {at(rows - 1, j)}"]
+        lines += [f"f {at(i, j)} {at(i + 1, j)} {at(i + 1, j + 1)} {at(i, j + 1)}" for i in range(1, rows - 1)]
+    return "\n".join(lines)
+
+
+def test_line_ends_of_other_scripts_end_no_line(fault_of):
+    assert fault_of(f"# a comment\u2028v 1 2 3\n{TETRAHEDRON}v 0 0 x\n").startswith("line 10: ")
+
+
+def test_a_byte_order_mark_is_passed_over(read):
+    np.testing.assert_array_equal(read(b"\xef\xbb\xbf" + TETRAHEDRON.encode()).vertices, CORNERS)
 
 
 # --- faults of the whole ---

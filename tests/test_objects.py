@@ -1,7 +1,11 @@
 """Objects as data: what a folder declares is what is loaded, every fault is refused, and geometry must agree."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
+import time
 from importlib import resources
 from pathlib import Path
 
@@ -11,6 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from symsol_annot.errors import ObjectError, SymsolError, UnknownObjectError
+from symsol_annot.names import OBJECT_NAME_RULE
 from symsol_annot.object_check import check_object
 from symsol_annot.objects import builtin_names, load_object, read_object
 
@@ -236,6 +241,190 @@ def test_the_digest_does_not_depend_on_where_the_folder_is(write, tmp_path):
     assert read_object(folder).digest == read_object(Path(copy)).digest
 
 
+DIGESTS = dict(
+    line.split()
+    for line in """
+cone ff7adf5dd172ca2089a1386f76861cb764626ab190857a4bfe9c9ea86bc82196
+cube 43db92d3ef0c17a346acec9449cc6f9088644ddbeb412f831cd7f383bd0a3247
+cyl 229e3403acd487145ef1282d1b9e310337443a2ec4f2f1f4916235784751934e
+cylO 244496499e4f864ec37260d09c1ec1d196541fac6ac0410e84983cf4358ff4bc
+icosa 93546342fdd5faf8837b578f2c7752a134fffe056b069f7aa1804e8a4c4cd1d6
+tet 99f6ee6c2583e4510685ce5f8b99e04b06ee0459b0b93c69a9b541f94a533f47
+tetX f5003003052ddf74d4ef05e135804705eaeaad9456e7d039590f288c6f131069
+""".strip().splitlines()
+)
+
+
+@every_builtin
+def test_a_builtin_objects_digest_is_that_of_the_published_sets(name):
+    assert load_object(name).digest == DIGESTS[name]
+
+
+def test_the_digest_is_of_the_bytes_that_were_parsed(write, monkeypatch):
+    """Each file is opened once: what it becomes while the object is read is in neither object nor digest."""
+    folder = write()
+    before, opened = read_object(folder), []
+    open_file = os.open
+
+    def open_and_change(path, *rest, **options):
+        descriptor = open_file(path, *rest, **options)
+        if Path(path).parent == folder:
+            opened.append(Path(path).name)
+            Path(f"{path}.new").write_text("changed", encoding="utf-8")
+            Path(f"{path}.new").replace(path)
+        return descriptor
+
+    monkeypatch.setattr(os, "open", open_and_change)
+    assert read_object(folder).digest == before.digest
+    assert opened == ["object.toml", "mesh.obj"]
+
+
+# --- files that are none, and files that were made to do harm ---
+
+
+@pytest.mark.parametrize("file", ["object.toml", "mesh.obj"])
+@pytest.mark.parametrize(
+    ("put", "said"),
+    [
+        (os.mkfifo, "is no regular file"),
+        (lambda path: path.symlink_to("/dev/zero"), "is no regular file"),
+        (Path.mkdir, "is a folder, where a file belongs"),
+        (lambda path: path.symlink_to("nowhere"), "no such file; an object is a folder with"),
+        (lambda path: path.symlink_to(path), "Too many levels of symbolic links"),
+        (lambda path: path.touch() or os.truncate(path, 2**33), "is larger than the"),
+    ],
+    ids=["a FIFO", "a device", "a folder", "a link to nowhere", "a link to itself", "8 GB"],
+)
+def test_what_is_no_file_of_an_objects_is_refused_without_waiting(write, file, put, said):
+    folder = write()
+    (folder / file).unlink()
+    put(folder / file)
+    with pytest.raises(ObjectError) as caught:
+        read_object(folder)
+    assert str(caught.value).startswith(f"{folder / file}: ")
+    assert said in str(caught.value)
+
+
+@pytest.mark.skipif(not shutil.which("setpriv") or os.getuid() != 0, reason="root drops its privileges here")
+def test_what_may_not_be_read_is_an_object_error_that_says_so(write, tmp_path):
+    folder = write()
+    for above in [*folder.parents][:-2]:  # up to /tmp, which all may enter
+        above.chmod(above.stat().st_mode | 0o055)
+    (folder / "mesh.obj").chmod(0)
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o700)
+    code = (
+        "import sys; from symsol_annot.errors import ObjectError; from symsol_annot.objects import load_object\n"
+        "for path in sys.argv[1:]:\n try: load_object(path)\n except ObjectError as error: print(error)"
+    )
+    words = ["setpriv", "--reuid=65534", "--clear-groups", sys.executable, "-c", code]
+    done = subprocess.run([*words, folder, closed / "mug"], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines() == [
+        f"{folder / 'mesh.obj'}: cannot be read: Permission denied",
+        f"{closed / 'mug'}: cannot be read: Permission denied",
+    ]
+
+
+def test_a_name_that_can_be_no_path_is_an_unknown_object(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("", "x" * 5000, "a\0b", "\x1b[2J"):
+        with pytest.raises(UnknownObjectError) as caught:
+            load_object(name)
+        assert str(caught.value).isprintable()
+        assert len(str(caught.value)) < 6000
+    with pytest.raises(ObjectError, match=r"^object.toml: no such file"):
+        load_object(".")
+
+
+HUGE = {
+    "a number of 10^5 digits": "9" * 50_000,
+    "a hexadecimal one": f"0x{'f' * 60_000}",
+    "beyond 64 bits": str(2**63),
+    "nested lists": "[" * 30_000,
+    "nested tables": "{a=" * 20_000,
+    "lists 40 deep": "[" * 40 + "]" * 40,
+    "a key 40 deep": "{" + ".".join("a" * 40) + " = 1}",
+}
+
+
+@pytest.mark.parametrize("value", HUGE.values(), ids=HUGE)
+@pytest.mark.parametrize("field", ["format_version", "marking.tolerance_px", "marking.stabiliser.order", "provenance"])
+def test_numbers_and_nests_without_end_are_one_short_error(fault_of, field, value):
+    key = field.rpartition(".")[2]
+    old = next((line for line in TOML.splitlines() if line.startswith(f"{key} = ")), 'anything = "goes"')
+    message, path = fault_of(edited(TOML, old, f"{key} = {value}")[0])
+    assert message.startswith(path)
+    assert len(message) < 500
+
+
+SLOW = {
+    "a key of 10,000 parts": ".".join("a" * 10_000) + " = 1\n",
+    "many keys of 100 parts": "".join(f"{'.'.join('a' * 99)}.b{i} = 1\n" for i in range(5000)),
+    "many tables": "[[a]]\n" * 170_000,
+    "a megabyte of nothing": "\n" * 2**20,
+    "64 KiB of keys": "".join(f"k{i:04} = 1\n" for i in range(6500)),
+    "64 KiB of keys of 100 parts": "".join(f"{'.'.join('a' * 99)}.b{i} = 1\n" for i in range(300)),
+}
+
+
+@pytest.mark.parametrize("text", SLOW.values(), ids=SLOW)
+def test_a_toml_that_takes_tomllib_for_ever_is_refused_in_time(fault_of, text):
+    start = time.process_time()
+    message, _ = fault_of(f"{text}{TOML}")
+    assert time.process_time() - start < 10.0
+    assert len(message) < 1000
+
+
+@pytest.mark.parametrize("title", ["", " ", "a\x1b[2Jb", "two\nlines", "\u202egum a", "x" * 201])
+def test_a_title_is_printable_and_short(fault_of, title):
+    toml, line = edited(TOML, REQUIRED["title"], f"title = {json.dumps(title)}")
+    message, path = fault_of(toml)
+    assert message.startswith(f"{path}, line {line}: title: expected 1 to 200 printable characters, found ")
+    assert message.isprintable()
+
+
+@pytest.mark.parametrize(
+    "table", ['["body.group"]\nkind = "cyclic"', '["marking"."stabiliser.order"]', "[lights]", "[a.b]"]
+)
+def test_a_table_that_nobody_reads_is_refused_though_it_looks_like_one(fault_of, table):
+    message, _ = fault_of(f"{TOML}\n{table}\n")
+    assert message.endswith("is not a field of an object.toml")
+
+
+def test_a_byte_order_mark_changes_the_digest_and_nothing_else(write):
+    plain, marked = (read_object(write(data)) for data in (TOML.encode(), b"\xef\xbb\xbf" + TOML.encode()))
+    assert (plain.name, plain.title) == (marked.name, marked.title)
+    assert plain.digest != marked.digest
+
+
+@pytest.mark.parametrize("axis", ["[1e-200, 0, 0]", "[5e-324, 0, 0]", "[1e308, 1e308, 0]", "[1e200, 0, 1]"])
+def test_an_axis_whose_direction_is_lost_in_rounding_is_refused(fault_of, axis):
+    toml, line = edited(TOML, "axis = [1, 1, 1]", f"axis = {axis}")
+    message, path = fault_of(toml)
+    assert message.startswith(
+        f"{path}, line {line}: marking.stabiliser.axis: expected an axis of a length from 1e-09 to"
+    )
+
+
+@pytest.mark.parametrize("length", [1e-9, 1e-3, 1e8])
+def test_an_axis_of_any_length_within_that_is_the_same_axis(write, length):
+    toml, _ = edited(TOML, "axis = [1, 1, 1]", f"axis = [{length!r}, {length!r}, {length!r}]")
+    np.testing.assert_allclose(read_object(write(toml)).stabiliser, read_object(write()).stabiliser, atol=1e-12)
+
+
+def test_the_largest_group_is_read_in_time(write):
+    start = time.process_time()
+    toml = toml_of('kind = "dihedral"\norder = 3600', 'kind = "cyclic"\norder = 1')
+    assert read_object(write(toml, MESH)).cosets.shape == (7200, 1)
+    assert time.process_time() - start < 10.0
+
+
+def test_a_marking_too_fine_to_be_checked_is_refused_with_how_fine_it_may_be(write):
+    folder = write(toml_of(*2 * ['kind = "cyclic"\norder = 3600']), finely_marked(3600))
+    with pytest.raises(ObjectError, match=r"has 3,598 triangles, too many .* 3,600 rotations; simplify it to 1,864"):
+        check_object(read_object(folder))
+
+
 # --- faults of object.toml ---
 
 
@@ -384,11 +573,11 @@ def test_another_format_version_is_refused(fault_of, version):
     assert message == f"{path}, line {line}: format_version: expected 1, found {version}"
 
 
-@pytest.mark.parametrize("name", ["", "a b", "../mug", "-mug", "_mug", "a/b", "mug.h5", "café", "mug\n"])
+@pytest.mark.parametrize("name", ["", "a b", "../mug", "-mug", "_mug", "a/b", "mug.h5", "café", "mug\n", "x" * 65, "٣"])
 def test_a_name_that_no_file_should_have_is_refused(fault_of, name):
     toml, line = edited(TOML, 'name = "mug"', f"name = {json.dumps(name)}")
     message, path = fault_of(toml)
-    assert message == f"{path}, line {line}: name: expected letters, digits, '_' and '-', found {name!r}"
+    assert message == f"{path}, line {line}: name: expected {OBJECT_NAME_RULE}, found {name!r}"
 
 
 @pytest.mark.parametrize("field", LINE_OF_KIND)
@@ -423,7 +612,7 @@ def test_an_axis_is_finite_and_no_truth_value(fault_of, axis):
     assert message.startswith(f"{path}, line 8: body.group.axis: expected three ")
 
 
-@pytest.mark.parametrize("tolerance", ["0", "0.0", "-0.0", "-1", "-0.125", "nan", "inf", "-inf"])
+@pytest.mark.parametrize("tolerance", ["0", "0.0", "-0.0", "-1", "-0.125", "nan", "inf", "-inf", f"1{'0' * 400}.0"])
 def test_a_tolerance_that_is_not_positive_and_finite_is_refused(fault_of, tolerance):
     toml, line = edited(TOML, "tolerance_px = 2.5", f"tolerance_px = {tolerance}")
     message, path = fault_of(toml)
@@ -506,6 +695,14 @@ def prism(facets, axis="z", material_of_caps="body"):
     lines.append("f " + " ".join(str(k + 1) for k in reversed(range(facets))))
     lines.append("f " + " ".join(str(k + 1 + facets) for k in range(facets)))
     return "\n".join(lines) + "\n"
+
+
+def finely_marked(facets):
+    """A cone whose base is marked: facets - 2 triangles of marking."""
+    turns = np.arange(facets) * 2 * np.pi / facets
+    lines = [f"v {0.8 * np.cos(t):.12f} {0.8 * np.sin(t):.12f} -0.6" for t in turns] + ["v 0 0 1"]
+    lines += [f"f {k + 1} {(k + 1) % facets + 1} {facets + 1}" for k in range(facets)]
+    return "\n".join([*lines, "usemtl marking", "f " + " ".join(str(k) for k in range(facets, 0, -1))]) + "\n"
 
 
 CUBE_FACES = {

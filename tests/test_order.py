@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import make_set
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from order_readers import OPENED, Part, RecordedFile, collate, read_part, record_opens
 from scipy.stats import chisquare
@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader
 
 from symsol_annot import dataset as dataset_module
 from symsol_annot import plan as plan_module
-from symsol_annot import shuffled_order
+from symsol_annot import shards, shuffled_order
 from symsol_annot.dataset import MAX_OPEN_SHARDS, Dataset, load
 from symsol_annot.errors import SettingsError
 from symsol_annot.manifest import Manifest, ShardEntry
@@ -70,6 +70,7 @@ many_parts = st.integers(1, 12) | st.integers(13, 300)
 seeds = st.integers(0, 2**70)
 
 
+@settings(deadline=None)
 @given(slices_of_planned(), seeds, seeds, many_parts)
 def test_parts_hold_every_row_once_and_differ_by_at_most_one_image(sliced, seed, epoch, parts):
     dataset, _ = sliced
@@ -79,6 +80,7 @@ def test_parts_hold_every_row_once_and_differ_by_at_most_one_image(sliced, seed,
     assert {order.dtype for order in orders} == {np.dtype(np.int64)}
 
 
+@settings(deadline=None)
 @given(slices_of_planned(), seeds, many_parts)
 def test_reader_opens_each_of_its_shards_once(sliced, seed, parts):
     dataset, shards = sliced
@@ -87,6 +89,7 @@ def test_reader_opens_each_of_its_shards_once(sliced, seed, parts):
         assert opens(read) == len(set(read))
 
 
+@settings(deadline=None)
 @given(slices_of_planned(), seeds, many_parts)
 def test_readers_share_a_shard_only_where_it_is_cut(sliced, seed, parts):
     dataset, shards = sliced
@@ -95,6 +98,7 @@ def test_readers_share_a_shard_only_where_it_is_cut(sliced, seed, parts):
     assert all(len(one & next_one) <= 1 for one, next_one in pairwise(there))
 
 
+@settings(deadline=None)
 @given(slices_of_planned(), seeds, st.integers(1, 6), st.integers(1, 6))
 def test_workers_of_a_rank_read_what_the_rank_reads_alone(sliced, seed, ranks, workers):
     dataset, _ = sliced
@@ -103,6 +107,7 @@ def test_workers_of_a_rank_read_what_the_rank_reads_alone(sliced, seed, ranks, w
         assert sorted(np.concatenate(by_workers[rank * workers :][:workers])) == sorted(alone)
 
 
+@settings(deadline=None)
 @given(slices_of_planned(), seeds, many_parts)
 def test_order_follows_from_its_arguments_and_from_nothing_that_was_asked_before(sliced, seed, parts):
     dataset, _ = sliced
@@ -118,6 +123,7 @@ def test_numpy_integers_do_as_arguments():
     np.testing.assert_array_equal(shuffled_order(dataset, seed, epoch, part, parts), parts_of(dataset, 3, 7, 2)[1])
 
 
+@settings(deadline=None)
 @given(slices_of_planned())
 def test_shard_numbers_are_those_of_the_rows(sliced):
     dataset, shards = sliced
@@ -208,9 +214,10 @@ def many_shards(tmp_path_factory):
 @pytest.fixture
 def opened(monkeypatch):
     """The names of the shards that this process opens from here on: for their labels, and for their images."""
-    labels, really_open = [], dataset_module.open_shard
-    monkeypatch.setattr(dataset_module, "open_shard", lambda path: labels.append(path.name) or really_open(path))
-    monkeypatch.setattr(dataset_module, "ByteFile", RecordedFile)
+    labels, describe = [], shards._DESCRIBER.describe
+    monkeypatch.setattr(shards._DESCRIBER, "describe", lambda path: labels.append(path.name) or describe(path))
+    for module in (shards, dataset_module):
+        monkeypatch.setattr(module, "ByteFile", RecordedFile)
     OPENED.clear()
     return labels, OPENED
 

@@ -211,14 +211,17 @@ ATTRIBUTES = {
     "a truth value as method": ({"method": True}, "'method' is not a string but enumerations or booleans"),
     "a compound as method": ({"method": np.zeros((), "i4,f8")}, "'method' is not a string but compounds"),
     "opaque bytes as method": ({"method": np.void(b"abc")}, "'method' is not a string but opaque bytes"),
-    "a huge method": ({"method": "x" * 60000}, "'method': expected at most 200 printable characters, found 'xxx"),
+    "a huge method": (
+        {"method": "x" * 60000},
+        "'method': expected 1 to 200 printable characters, not all of them spaces, found 'xxx",
+    ),
     "a terminal's codes": (
         {"method": "\x1b[2J\x07"},
-        "'method': expected at most 200 printable characters, found '\\x1b[",
+        "'method': expected 1 to 200 printable characters, not all of them spaces, found '\\x1b[",
     ),
     "text that turns round": (
         {"method": "a\u202eb"},
-        "'method': expected at most 200 printable characters, found 'a\\u20",
+        "'method': expected 1 to 200 printable characters, not all of them spaces, found 'a\\u20",
     ),
     "no object": ({"object": MISSING}, "'object': expected the name of an object, found None"),
     "a number as object": ({"object": 1}, "'object': expected the name of an object, found 1"),
@@ -288,7 +291,8 @@ def test_a_method_that_is_no_text_is_a_fault(faults):
         file.attrs.create("method", b"a\xff", dtype=h5py.string_dtype())
 
     found = faults(edit=set_bytes)
-    assert found == r"the file: attribute 'method': expected at most 200 printable characters, found 'a\udcff'"
+    rule = "expected 1 to 200 printable characters, not all of them spaces"
+    assert found == rf"the file: attribute 'method': {rule}, found 'a\udcff'"
 
 
 def test_an_object_that_data_does_not_hold_is_a_fault_of_data(scores, data):
@@ -356,7 +360,7 @@ def test_hypotheses_of_another_type_are_named_with_it(faults, dtype):
     found = faults(edit=replaced("hypotheses", shape=SHAPE, dtype=dtype))
     size = np.dtype(dtype).str[1:]
     shape = f"({IMAGES}, M, 3, 3), found {size} of shape ({IMAGES}, {HYPOTHESES}, 3, 3)"
-    assert found == f"hypotheses: 'hypotheses': expected f4 or f8 of shape {shape}"
+    assert found.startswith(f"hypotheses: 'hypotheses': expected f4 or f8 of shape {shape}; ")
 
 
 SHAPES = {
@@ -376,20 +380,20 @@ SHAPES = {
 def test_hypotheses_of_another_shape_are_named_with_it(faults, kind):
     found = faults(edit=replaced("hypotheses", shape=SHAPES[kind], dtype="f8"))
     assert f"expected f4 or f8 of shape ({IMAGES}, M, 3, 3), found f8 of shape {SHAPES[kind]}" in found
-    assert ("quaternions" in found) == (kind == "4 by 4")
+    assert ("4x4 poses" in found) == (kind == "4 by 4")
 
 
 @pytest.mark.parametrize("shape", [(IMAGES, 4), (IMAGES, HYPOTHESES, 4)])
 def test_quaternions_in_place_of_matrices_are_called_so(faults, shape):
     found = faults(edit=replaced("hypotheses", shape=shape, dtype="f8"))
-    assert found.endswith("; these look like quaternions, where 3x3 rotation matrices belong")
+    assert "; these look like quaternions: " in found
 
 
 @pytest.mark.parametrize(("count", "dtype"), [(0, "f8"), (10_001, "f4")])
 def test_too_few_or_too_many_hypotheses_are_counted(faults, count, dtype):
     stored = {"shape": (IMAGES, count, 3, 3), "dtype": dtype}
     found = faults({"hypothesis_weights": MISSING}, edit=replaced("hypotheses", **stored))
-    assert found == f"hypotheses: M = {count}: 1 to 10000 hypotheses an image are read"
+    assert found == f"hypotheses: M = {count}: 1 to 10000 hypotheses per image are read"
 
 
 @pytest.mark.parametrize("name", ["hypotheses", "query_probability", "grid_offsets", "density_indices", "image_index"])
@@ -435,7 +439,8 @@ def test_images_that_are_missing_double_or_strange_are_listed(faults, index, mes
 @pytest.mark.parametrize("dtype", ["f8", "u8", "i2"])
 def test_an_image_index_of_another_type_is_named_with_it(faults, valid, dtype):
     found = faults({"image_index": valid[0]["image_index"].astype(dtype)})
-    assert found == f"the file: 'image_index': expected i4 or i8 or u4 of shape (N), found {dtype} of shape (6,)"
+    said = f"expected i4 or i8 or u4 of shape (N), found {dtype} of shape (6,)"
+    assert found == f"the file: 'image_index': {said}; write np.asarray(image_index, dtype=np.int64)"
 
 
 def test_far_too_many_rows_are_counted_and_not_read(faults):
@@ -474,11 +479,13 @@ NO_ROTATIONS = {
 def test_matrices_that_are_no_rotations_are_named_by_row_and_by_how_far_off_they_are(faults, valid, kind):
     matrix, off = NO_ROTATIONS[kind]
     found = faults({"hypotheses": changed(valid[0]["hypotheses"], (3, 1), matrix)})
-    rule = "(R^T R = I and det R = 1 within 1e-06)"
+    rule = "(R^T R = I and det R = 1 within 0.0001)"
+    mend = "; project what was rounded: U, _, Vt = np.linalg.svd(R.astype(np.float64)); R = U @ Vt"
+    rule += mend if kind == "a stretched one" else ""
     assert found == f"hypotheses: 'hypotheses' holds a matrix that is no rotation {rule}: row 3 (hypothesis 1, {off})"
 
 
-@pytest.mark.parametrize(("dtype", "tolerance"), [("f4", 1e-5), ("f8", 1e-6)])
+@pytest.mark.parametrize(("dtype", "tolerance"), [("f4", 1e-4), ("f8", 1e-4)])
 def test_a_rotation_may_be_as_far_off_as_its_type_allows(scores, faults, valid, dtype, tolerance):
     def off_by(amount):
         stretched = valid[0]["hypotheses"] * (1 + amount / 3)  # det R is then off by the amount
@@ -518,7 +525,8 @@ def test_weights_of_another_shape_are_named_with_it(faults, valid):
 @pytest.mark.parametrize("value", [-1e-9, 1.0001, np.nan, np.inf, -np.inf])
 def test_probabilities_outside_0_to_1_are_named_by_row(faults, valid, value):
     asked = changed(valid[0]["query_probability"].astype(np.float64), (4, 7), value)
-    assert faults({"query_probability": asked}) == "classifier: 'query_probability' is not in [0, 1]: row 4"
+    mend = "; write np.clip(p, 0, 1)" if np.isfinite(value) else ""
+    assert faults({"query_probability": asked}) == f"classifier: 'query_probability' is not in [0, 1]{mend}: row 4"
     row = int(np.flatnonzero(np.diff(valid[0]["grid_offsets"]))[1])
     at = valid[0]["grid_offsets"][row]
     found = faults({"grid_probabilities": changed(valid[0]["grid_probabilities"], at, value)})
@@ -610,25 +618,27 @@ def test_offsets_of_another_length_or_type_are_named_with_them(faults, track):
 def test_log_probabilities_that_are_none_or_vanish_are_named_by_row(faults, value):
     columns = sparse("density", [[1]] * IMAGES)
     columns["density_log_probabilities"][3] = value
-    assert faults(columns) == "density: 'density_log_probabilities' are not in [-1e+06, 0]: row 3"
+    found = faults(columns)
+    assert found.startswith("density: 'density_log_probabilities' are not in [-1e+06, 0]")
+    assert found.endswith(": row 3")
 
 
 def test_a_density_must_leave_something_to_the_cells_that_it_does_not_list(faults):
     columns = sparse("density", [[0], [1, 2], [3, 4], [], [5], []])
     columns["density_log_probabilities"][:5] = [-0.1, *np.log([0.5, 0.5, 0.7, 0.7])]
     found = faults(columns)
-    assert "something is left for the others (all listed: 1): rows 1 (they hold 1), 2 (they hold 1.4)" in found
+    assert "image's scipy.special.logsumexp over the whole grid: rows 1 (they hold 1), 2 (they hold 1.4)" in found
 
 
 def test_a_density_that_lists_every_cell_must_add_up_to_1(faults):
     columns = sparse("density", [np.arange(CELLS), [], [], [], [], []])
     columns["density_log_probabilities"][:] = np.log(0.9 / CELLS)
-    assert faults(columns).endswith("(all listed: 1): row 0 (they hold 0.9)")
+    assert faults(columns).endswith("logsumexp over the whole grid: row 0 (they hold 0.9)")
 
 
 def test_rows_that_share_a_fault_are_counted_and_the_first_of_them_named(faults, valid):
     asked = changed(valid[0]["query_probability"], np.s_[:, 0], 2.0)
-    assert faults({"query_probability": asked}).endswith("is not in [0, 1]: rows 0, 1, 2, 3, 4 and 1 more")
+    assert faults({"query_probability": asked}).endswith("(1 + np.exp(-x)): rows 0, 1, 2, 3, 4 and 1 more")
 
 
 def test_all_faults_of_a_file_are_listed_at_once(faults, valid):
@@ -735,7 +745,8 @@ def test_odd_names_are_shown_without_what_a_terminal_would_obey(faults, name):
         file[name] = np.zeros(3)
         file.attrs[name] = 1
 
-    assert faults(edit=put) == f"the file: {NAMES[name]} is not part of the format"
+    near = "; 'hypotheses' is" if str(name).startswith("hypoth") else ""
+    assert faults(edit=put) == f"the file: {NAMES[name]} is not part of the format{near}"
 
 
 def test_hdf5s_own_words_are_shown_without_what_a_terminal_would_obey(faults):

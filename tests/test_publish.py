@@ -180,7 +180,9 @@ def test_the_shards_of_a_bundle_are_the_sets(bundle, data):
 
 def test_sha256sum_accepts_the_list_and_it_names_every_file(bundle):
     assert_whole(bundle)
-    listed = [line[66:] for line in (bundle / "SHA256SUMS").read_text().splitlines()]
+    first, *lines = (bundle / "SHA256SUMS").read_text().splitlines()
+    assert first == "# made by `symsol-annot publish`"
+    listed = [line[66:] for line in lines]
     assert sorted([*listed, "SHA256SUMS"]) == sorted(snapshot(bundle))
 
 
@@ -462,7 +464,8 @@ def test_an_imported_set_is_refused(tetX_set, tmp_path):
     manifest = read_manifest(tetX_set)
     unknown = dict.fromkeys(("object_sha256", "seed", "render", "tolerance_px"))
     camera = {**manifest.recipe["camera"], "distance": None, "focal_px": None}
-    source = {"name": "symsol.zip", "sha256": "0" * 64, "convention": "unknown"}
+    source = {"name": "symsol.zip", "sha256": "0" * 64, "convention": "unknown", "transposed": False}
+    source |= {"rotations_listed": 12, "duplicates_removed": 0}
     recipe = {**manifest.recipe, **unknown, "camera": camera, "source": source}
     write_manifest(tetX_set, replace(manifest, recipe=recipe))
     assert_refused(tetX_set, tmp_path / "out", DataError, "imported", "licence")
@@ -475,14 +478,38 @@ def test_a_folder_that_holds_somebody_elses_files_is_not_touched(data, tmp_path,
     assert_refused(data, tmp_path / "out", OutputError, name, "--out")
 
 
-def test_a_list_of_somebody_elses_checksums_makes_no_bundle_of_a_folder(data, tmp_path):
+@pytest.mark.parametrize("text", ["", f"{'0' * 64}  README.md\n", f"{'0' * 64}  thesis.pdf\n", "# mine\n"])
+@pytest.mark.parametrize("name", ["SHA256SUMS", "SHA256SUMS.unfinished"])
+def test_a_list_of_somebody_elses_checksums_makes_no_bundle_of_a_folder(data, tmp_path, name, text):
     (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "README.md").write_text("mine")
-    (tmp_path / "out" / "SHA256SUMS").write_text("")
-    assert_refused(data, tmp_path / "out", OutputError, "README.md")
-    (tmp_path / "out" / "README.md").unlink()
-    (tmp_path / "out" / "SHA256SUMS").write_text(f"{'0' * 64}  thesis.pdf\n")
-    assert_refused(data, tmp_path / "out", OutputError, "thesis.pdf")
+    (tmp_path / "out" / name).write_text(text)
+    assert_refused(data, tmp_path / "out", OutputError, name)
+
+
+@pytest.mark.parametrize("name", ["README.md", "parquet/tetX/test-00000-of-00003.parquet"])
+def test_a_file_of_the_bundle_that_became_a_link_is_left_as_it_is(data, tmp_path, name):
+    """As git-annex keeps large files."""
+    out = tmp_path / "out"
+    publish(sets_in(data / "tetX"), out, About())
+    (out / name).rename(tmp_path / "elsewhere")
+    (out / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OutputError, match="holds links in place of files"):
+        publish(sets_in(data / "tetX"), out, About())
+    assert (out / name).is_symlink()
+
+
+def test_a_file_of_the_bundle_that_is_changed_meanwhile_is_left_as_it_is(data, tmp_path):
+    out, calls = tmp_path / "out", []
+    publish(sets_in(data / "tetX"), out, About(title="before"))
+
+    def edit_after_opening():
+        if not calls:
+            (out / "README.md").write_text("mine")
+        calls.append(1)
+
+    with pytest.raises(OutputError, match=r"was changed while this command ran: README\.md"):
+        publish(sets_in(data / "tetX"), out, About(title="after"), edit_after_opening)
+    assert (out / "README.md").read_text() == "mine"
 
 
 def test_what_is_hidden_in_the_folder_stays(data, tmp_path):

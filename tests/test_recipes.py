@@ -1,8 +1,11 @@
 """Recipes: each row of the thesis's tables has one with its settings, and what makes no sense is refused in full."""
 
+import json
+import os
 import re
 import subprocess
 import sys
+import time
 import zipfile
 from dataclasses import replace
 from itertools import pairwise
@@ -260,3 +263,90 @@ def test_a_file_that_cannot_be_read_is_refused(tmp_path):
     for path in (tmp_path, tmp_path / "binary.toml"):
         with pytest.raises(SettingsError, match="the recipe cannot be read"):
             load_recipe(str(path))
+
+
+@pytest.mark.parametrize(
+    ("put", "said"),
+    [
+        (os.mkfifo, "cannot be read: is no regular file"),
+        (lambda path: path.symlink_to("/dev/zero"), "cannot be read: is no regular file"),
+        (Path.mkdir, "cannot be read: is a folder"),
+        (lambda path: path.symlink_to("nowhere"), "there is no such file"),
+        (lambda path: path.touch() or os.truncate(path, 2**33), "is larger than the 65,536 bytes"),
+        (lambda path: path.write_bytes(b"#" * 2**16 + b"\n"), "is larger than the 65,536 bytes"),
+    ],
+    ids=["a FIFO", "a device", "a folder", "a link to nowhere", "8 GB", "64 KiB and one"],
+)
+def test_what_is_no_small_file_is_refused_without_waiting(tmp_path, put, said):
+    put(tmp_path / "mine.toml")
+    with pytest.raises(SettingsError, match=said):
+        load_recipe(str(tmp_path / "mine.toml"))
+
+
+@pytest.mark.parametrize("name", ["\x1b[2J.toml", "two\nlines.toml", " .toml", ".toml", "x" * 201 + ".toml"])
+def test_a_recipe_is_called_by_its_file_which_has_a_methods_name(tmp_path, name):
+    (tmp_path / name).write_text(GOOD)
+    with pytest.raises(
+        SettingsError, match="1 to 200 printable characters, not all of them spaces; rename it"
+    ) as caught:
+        load_recipe(str(tmp_path / name))
+    assert "\x1b" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["", "a\0b", "x" * 300, "x" * 5000])
+def test_a_name_that_can_be_no_path_is_refused(name):
+    with pytest.raises(SettingsError):
+        load_recipe(name)
+
+
+def test_a_byte_order_mark_and_windows_line_ends_change_nothing(tmp_path):
+    (tmp_path / "mine.toml").write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
+    assert load_recipe(str(tmp_path / "mine.toml")).base == parse_recipe(GOOD, "mine.toml").base
+
+
+STRANGE = {
+    "a title of many lines": (changed(GOOD, title=r'"a\nb"'), "title: expected 1 to 200 printable characters"),
+    "a title of escapes": (changed(GOOD, title=r'"\u001b[2J"'), "title: expected 1 to 200 printable characters"),
+    "a title without end": (changed(GOOD, title=f'"{"x" * 60_000}"'), "title: expected 1 to 200 printable characters"),
+    "a title of nothing": (changed(GOOD, title='""'), "title: expected 1 to 200 printable characters"),
+    "10^9 hypotheses": (changed(GOOD, hypotheses=10**9), "hypotheses: expected 1 to 10000, found 1000000000"),
+    "2^63 epochs": (changed(GOOD, epochs=2**63 - 1), "epochs: expected 1 to 10000, found 9223372036854775807"),
+    "2^63 validation images": (changed(GOOD, validation_images=2**63 - 1), "validation_images: expected 0 to 10000000"),
+    "a huge concentration": (changed(GOOD, concentration="1e308"), "concentration: expected a number above 0, up to"),
+    "an infinite rate": (changed(GOOD, learning_rates="[inf, 1]"), "learning_rates: expected numbers above 0"),
+    "a thousand rates": (
+        changed(GOOD, learning_rates=[1] * 1000),
+        "learning_rates: expected at most 64, found 1000",
+    ),
+    "an object that is a path": (f"{GOOD}[objects.'../cube']\nepochs = 3", "objects: expected an object's name"),
+    "an object with a line end": (f'{GOOD}[objects."a\\nb"]\nepochs = 3', "objects: expected an object's name"),
+    "a thousand objects": (f"{GOOD}[objects]\n" + "".join(f"a{i} = {{}}\n" for i in range(1000)), "at most 256"),
+    "thousands of keys": (GOOD + "".join(f"k{i} = 1\n" for i in range(5000)), "at most 64 keys, found 5011"),
+    "thousands of keys of an object": (
+        f"{GOOD}[objects.a]\n" + "".join(f"k{i} = 1\n" for i in range(5000)),
+        "at most 64",
+    ),
+    "tables for values": (changed(GOOD, epochs="{ a = 1 }", title="[[1]]"), "expected"),
+    "a model that is a table": (changed(GOOD, model="{ a = 1 }"), "model: expected hypotheses or classifier"),
+    "hexadecimal digits": (changed(GOOD, epochs=f"0x{'f' * 60_000}"), "is no TOML: it holds an integer beyond 64 bits"),
+    "in a list": (changed(GOOD, milestones=f"[0x{'f' * 60_000}]"), "is no TOML: it holds an integer beyond 64 bits"),
+    "nested tables": (GOOD + "a = " + "{a=" * 15_000, "is no TOML: it is nested too deep"),
+    "a key of 30,000 parts": (GOOD + ".".join("a" * 30_000) + " = 1", "is no TOML: more than 256 dots in a line"),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), STRANGE.values(), ids=STRANGE)
+def test_what_no_training_has_a_use_for_is_one_short_refusal_in_time(text, said):
+    start = time.process_time()
+    message = refusal(text)
+    assert time.process_time() - start < 10.0
+    assert said in message
+    assert len(message) < 4000
+
+
+@pytest.mark.parametrize("title", ["WTA \U0001f600", 'caf\u00e9 \\ "x" \u2028'.replace("\u2028", "\u00fc"), "." * 200])
+def test_any_title_that_is_accepted_is_read_again_from_a_checkpoint(title):
+    made = parse_recipe(changed(GOOD, title=json.dumps(title, ensure_ascii=False)), "mine.toml").for_object(
+        "tet", has_marking=False
+    )
+    assert recipe_from_toml(recipe_to_toml(made), "a checkpoint") == made

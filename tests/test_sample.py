@@ -12,9 +12,10 @@ import pytest
 import symsol_annot
 from symsol_annot.bench.truth import truth_of
 from symsol_annot.errors import DataError
-from symsol_annot.manifest import SPLITS, read_manifest
+from symsol_annot.manifest import read_manifest
+from symsol_annot.names import SPLITS
 from symsol_annot.sample import SAMPLE_OBJECTS, sample_folder
-from symsol_annot.shards import open_shard, versions_of
+from symsol_annot.shards import open_shard
 from symsol_annot.verify import verify
 
 MAKEFILE = Path(__file__).parents[1] / "Makefile"
@@ -63,7 +64,7 @@ def test_it_was_made_by_this_version(name):
     folder = sample_folder() / name
     for entry in read_manifest(folder).shards:
         with open_shard(folder / entry.file) as shard:
-            assert versions_of(shard)["symsol-annot"] == symsol_annot.__version__
+            assert shard.versions["symsol-annot"] == symsol_annot.__version__
 
 
 @pytest.mark.blender

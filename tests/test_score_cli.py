@@ -210,7 +210,9 @@ def refused(done, *words, code=1):
 @pytest.mark.parametrize("command", ["score", "validate"])
 def test_a_missing_set_is_named(preds, data, here, tmp_path, command):
     nowhere = here(command, preds["tetX"], "--data", tmp_path)
-    refused(nowhere, rf"^Error: {tmp_path}: holds no set of the object 'tetX'; --data names the folder that does\n$")
+    refused(
+        nowhere, rf"^Error: {tmp_path}: holds no set of the object 'tetX': there is no set in it; --data names .*\n$"
+    )
     refused(here(command, preds["tetX"], "--data", tmp_path / "missing"), "holds no set of the object 'tetX'")
     assert nowhere.stdout == ""
 
@@ -268,7 +270,7 @@ FAULTS = (
     r"  - classifier: attribute 'group_sha256': expected '[0-9a-f]{64}', found '0{64}'; the queries were asked in",
     r"  - hypotheses: 'hypotheses' has a NaN or an infinite entry: row 3\n",
     r"  - hypotheses: 'hypotheses' holds a matrix that is no rotation .*: rows 5 \(.*with determinant -1\), 6 \(",
-    r"  - density: 'density_log_probabilities' are not in \[-1e\+06, 0\]: row 0\n",
+    r"  - density: 'density_log_probabilities' are not in \[-1e\+06, 0\]; .*: row 0\n",
     r"  - density: 'density_indices' are not ascending, or one is repeated: row 0\n",
 )
 
@@ -424,3 +426,10 @@ def test_writing_predictions_imports_neither_torch_nor_roma_nor_blender(sets, gu
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "[]\n")
     with h5py.File(tmp_path / "preds.h5") as file:
         assert {"hypotheses", "query_probability", "density_offsets"} <= set(file)
+
+
+def test_info_prints_the_fingerprint_that_predictions_of_each_split_carry(sets, preds, here):
+    done = here("info", sets["tetX"].folder)
+    with h5py.File(preds["tetX"]) as f:
+        assert f"  fingerprint {f.attrs['fingerprint']}" in done.stdout.splitlines()
+    assert "of the whole set, to name it by; predictions carry that of their split" in done.stdout

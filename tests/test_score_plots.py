@@ -64,8 +64,8 @@ NAMES = ["$a_{$", "cost $5 and $6", "_mine", "\u65e5\u672c\u8a9e"]
 
 
 @pytest.mark.parametrize("method", NAMES)
-@pytest.mark.parametrize(("command", "label"), [("precision-recall", "{}"), ("coverage", "coverage, {}")])
-def test_the_legend_names_each_method_as_its_file_does(command, label, method, tmp_path):
+@pytest.mark.parametrize(("command", "label"), [("precision-recall", "{}"), ("coverage", "coverage, {} (M = 9)")])
+def test_the_legend_names_each_method_as_its_file_does_and_its_M(command, label, method, tmp_path):
     scores, out = tmp_path / "scores.json", tmp_path / "curve.svg"
     scores.write_text(json.dumps({**json.loads(TRUTH.read_text()), "method": method}))
     with rc_context({"svg.fonttype": "none"}):  # text as text
@@ -100,3 +100,34 @@ def test_a_stratum_that_an_object_lacks_is_refused(tmp_path):
         score_plots.plot_precision_recall([TRUTH], tmp_path / "x.png", "tetX", "of all")
     with pytest.raises(ScoresError, match="expected a classifier track"):
         score_plots.plot_precision_recall([SPREAD], tmp_path / "x.png", "tetX")
+
+
+@pytest.mark.parametrize(
+    ("track", "metric", "value"),
+    [
+        ("classifier", "recall_above_0.8", [0.5]),
+        ("classifier", "recall_above_0.8", {"value": "0.5"}),
+        ("classifier", "recall_above_0.8", {"value": 1e300, "low": 0, "high": 1, "images": 1, "undefined": 0}),
+        ("hypotheses", "coverage_at_2_deg", None),
+        ("hypotheses", "coverage_at_2_deg", {"value": 0.5, "low": [], "high": 1, "images": 1, "undefined": 0}),
+    ],
+)
+def test_a_figure_that_is_none_is_refused_by_name(track, metric, value, tmp_path):
+    document = json.loads(TRUTH.read_text())
+    document["objects"]["tetX"][track]["all"][metric] = value
+    path = tmp_path / "scores.json"
+    path.write_text(json.dumps(document))
+    draw = score_plots.plot_coverage if track == "hypotheses" else score_plots.plot_precision_recall
+    with pytest.raises(ScoresError, match=f"{track}.all.{metric} has no value with an interval"):
+        draw([path], tmp_path / "x.png", "tetX")
+
+
+def test_metrics_of_other_names_and_missing_ones_are_not_drawn(figures, tmp_path):
+    document = json.loads(TRUTH.read_text())
+    figure_set = document["objects"]["tetX"]["classifier"]["all"]
+    figure_set["recall_above_1.2.3"] = figure_set["recall_above_0.8"]
+    del figure_set["precision_above_0.5"]
+    path = tmp_path / "scores.json"
+    path.write_text(json.dumps(document))
+    score_plots.plot_precision_recall([str(path)], "x.png", "tetX")
+    assert len(figures[0].axes[0].lines[0].get_xdata()) == 10

@@ -27,7 +27,7 @@ from scoring_oracle import (
 
 from symsol_annot.bench import tracks
 from symsol_annot.bench.averages import figures, merge
-from symsol_annot.bench.metric_table import METRICS, RANKED_BY, Place, metric_of
+from symsol_annot.bench.metric_table import F_UNWEIGHTED, METRICS, RANKED_BY, Place, metric_of
 from symsol_annot.bench.queries import Queries
 from symsol_annot.bench.scorers import ClassifierScorer, DensityScorer, HypothesesScorer
 from symsol_annot.bench.scoring import score_file, table_of
@@ -347,9 +347,11 @@ def test_query_rotations_are_those_of_the_documented_stream(sets, name):
 
 @pytest.fixture(scope="module")
 def every_metric(sets, tmp_path_factory):
-    """Scores with all that scorers return: of an object with arcs, down to the lowest floor."""
+    """Scores with all that scorers return: of an object with arcs, with weights, down to the lowest floor."""
     folder, truths = sets
-    path = write_messy(tmp_path_factory.mktemp("every") / "preds.h5", truths["cylO"], Style(level=0, floor=0.0))
+    path = write_messy(
+        tmp_path_factory.mktemp("every") / "preds.h5", truths["cylO"], Style(level=0, floor=0.0, has_weights=True)
+    )
     return score_file(path, folder).tracks
 
 
@@ -451,7 +453,7 @@ def with_labels(truth, **changed):
 
 
 def scored(scorer_type, truth, block, **facts):
-    scorer = scorer_type(SimpleNamespace(**facts), truth)
+    scorer = scorer_type(SimpleNamespace(density_floor=None, **facts), truth)
     return table_of(block.image_index, scorer.score_block(block))
 
 
@@ -510,9 +512,13 @@ def test_equal_weights_change_nothing_and_neither_does_an_absent_hypothesis(grou
     truth = hand_made(group_name, 4, rng)
     hypotheses = some_hypotheses(truth, rng)
     plain = score_hypotheses(truth, hypotheses)
-    assert_same_table(plain, score_hypotheses(truth, hypotheses, np.full((4, 5), 0.3)))
     padded = np.insert(hypotheses, 2, np.nan, axis=1)
-    assert_same_table(plain, score_hypotheses(truth, padded, np.insert(np.ones((4, 5)), 2, 0.0, axis=1)))
+    for weighted in (
+        score_hypotheses(truth, hypotheses, np.full((4, 5), 0.3)),
+        score_hypotheses(truth, padded, np.insert(np.ones((4, 5)), 2, 0.0, axis=1)),
+    ):
+        assert_same_table(plain, weighted.select(list(plain.values)))
+        np.testing.assert_allclose(weighted.values[F_UNWEIGHTED], plain.values["f_measure_at_5_deg"], atol=1e-12)
 
 
 @quick
@@ -522,7 +528,8 @@ def test_a_weight_of_two_is_two_of_the_same_hypothesis(group_name, seed):
     truth = hand_made(group_name, 4, rng)
     hypotheses = some_hypotheses(truth, rng)
     twice = score_hypotheses(truth, np.concatenate([hypotheses, hypotheses[:, :2]], axis=1))
-    assert_same_table(twice, score_hypotheses(truth, hypotheses, np.array([[2.0, 2.0, 1.0, 1.0, 1.0]] * 4)))
+    weighted = score_hypotheses(truth, hypotheses, np.array([[2.0, 2.0, 1.0, 1.0, 1.0]] * 4))
+    assert_same_table(twice, weighted.select(list(twice.values)))
 
 
 @quick

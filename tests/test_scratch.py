@@ -1,6 +1,8 @@
 """Temporary folders: those of the living stay, those of the dead go."""
 
 import errno
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from symsol_annot.scratch import Scratch, sweep
+from symsol_annot.scratch import MARK_NAME, Scratch, is_marked, sweep
 
 OWNER = """
 import sys, time
@@ -65,30 +67,89 @@ def test_a_sweep_touches_no_stranger_and_follows_no_link(temporary):
     assert sorted(temporary.rglob("*")) == before
 
 
-def test_a_folder_that_is_swept_while_it_is_made_is_made_again(temporary, monkeypatch):
-    """A sweep between the folder's making and its locking."""
-    mkdtemp, swept = Scratch.__init__.__globals__["tempfile"].mkdtemp, []
+def test_a_sweep_leaves_a_users_folders_of_every_unlucky_name_and_content(temporary):
+    """Neither name nor mark alone says that this program made a folder: a mark names its folder by inode."""
+    left = killed_owner_left()
+    (temporary / "symsol-annot-results").mkdir()
+    (temporary / "symsol-annot-results" / "thesis.h5").write_text("x")
+    (temporary / "symsol-annot-main").mkdir()
+    shutil.copytree(left, temporary / "symsol-annot-copy")
+    forged = temporary / "symsol-annot-forged"
+    forged.mkdir()
+    (forged / MARK_NAME).symlink_to(left / MARK_NAME)
+    (temporary / "symsol-annot-link").symlink_to(left)
+    before = {path for path in temporary.rglob("*") if left not in (path, *path.parents)}
+    sweep()
+    assert set(temporary.rglob("*")) == before
+
+
+def test_a_folder_of_another_user_is_left_alone(temporary, monkeypatch):
+    left = killed_owner_left()
+    monkeypatch.setattr("os.getuid", lambda: left.lstat().st_uid + 1)
+    sweep()
+    assert left.is_dir()
+
+
+def test_nothing_is_swept_where_the_file_system_has_no_locks(temporary, monkeypatch):
+    left = killed_owner_left()
+    monkeypatch.setattr("symsol_annot.locks.fcntl.flock", no_locks)
+    sweep()
+    assert left.is_dir()
+
+
+def test_a_folder_can_be_had_where_the_file_system_has_no_locks(temporary, monkeypatch):
+    monkeypatch.setattr("symsol_annot.locks.fcntl.flock", no_locks)
+    with Scratch() as scratch:
+        assert is_marked(scratch.path)
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_folder_that_is_swept_while_it_is_made_stays(temporary, monkeypatch):
+    mkdtemp = Scratch.__init__.__globals__["tempfile"].mkdtemp
 
     def sweeping_mkdtemp(**arguments):
         path = mkdtemp(**arguments)
-        if not swept:
-            swept.append(path)
-            sweep()
+        sweep()
         return path
 
     monkeypatch.setattr("symsol_annot.scratch.tempfile.mkdtemp", sweeping_mkdtemp)
+    with Scratch() as scratch:
+        sweep()
+        assert is_marked(scratch.path)
+
+
+def test_closing_leaves_a_folder_that_took_the_name_meanwhile(temporary):
     scratch = Scratch()
-    assert scratch.path.is_dir()
-    assert str(scratch.path) != swept[0]
+    scratch.path.rename(temporary / "moved")
+    scratch.path.mkdir()
+    (scratch.path / "mine").write_text("x")
     scratch.close()
+    assert (scratch.path / "mine").read_text() == "x"
 
 
 def test_too_many_open_files_are_an_error_and_leave_no_folder(temporary, monkeypatch):
-    def refuse(*_, **__):
-        raise OSError(errno.EMFILE, "Too many open files")
+    open_file = os.open
 
-    monkeypatch.setattr("symsol_annot.scratch._locked_descriptor", refuse)
+    def refuse(path, flags, *more):
+        if flags & os.O_DIRECTORY:
+            raise OSError(errno.EMFILE, "Too many open files")
+        return open_file(path, flags, *more)
+
+    monkeypatch.setattr("symsol_annot.scratch.os.open", refuse)
     with pytest.raises(OSError, match="Too many open files"):
         Scratch()
     monkeypatch.undo()
     assert list(temporary.iterdir()) == []
+
+
+def no_locks(*_):
+    raise OSError(errno.ENOLCK, "No locks available")
+
+
+def killed_owner_left():
+    """The folder that a killed owner left, of which only the mark and the lock tell that it may go."""
+    with subprocess.Popen([sys.executable, "-c", OWNER], stdout=subprocess.PIPE, text=True) as owner:
+        left = Path(owner.stdout.readline().strip())
+        owner.send_signal(signal.SIGKILL)
+        owner.wait()
+    return left

@@ -5,11 +5,14 @@ Distances are taken here from chords, by scipy, not by the package's so3.
 
 import io
 import json
+import os
 import pickle
 import re
+import shutil
 import struct
 import subprocess
 import sys
+import time
 import zipfile
 import zlib
 from pathlib import Path
@@ -25,7 +28,6 @@ from symsol_annot_cli.main import main
 from symsol_source import COUNTS, npz, png, rotations, write_zip
 
 import symsol_annot
-from symsol_annot import symsol_zip
 from symsol_annot.bench import scoring
 from symsol_annot.bench.submission import write_hypotheses
 from symsol_annot.errors import (
@@ -38,6 +40,7 @@ from symsol_annot.errors import (
 from symsol_annot.generate import generate
 from symsol_annot.manifest import read_manifest
 from symsol_annot.symsol_import import import_symsol
+from symsol_annot.symsol_zip import SymsolZip
 from symsol_annot.verify import verify
 
 NAMES = ("tet", "cone", "cyl", "tetX")
@@ -285,6 +288,21 @@ def png_of_size(width, height):
     return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
 
 
+def png_header(width, height):
+    return struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+
+
+def with_chunk(data, kind, content):
+    """A PNG with one more chunk behind its header."""
+    chunk = struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    return data[:33] + chunk + data[33:]
+
+
+def header_of(text):
+    """A table whose array has a header of its own."""
+    return zip_of({"tet.npy": b"\x93NUMPY\1\0" + struct.pack("<H", len(text)) + text.encode()})
+
+
 def _rotations(change, *splits):
     """A zip whose rotations of tet were changed, in train or where it is said."""
 
@@ -343,7 +361,7 @@ HOSTILE = {
     "by columns": (_put(TABLE, npz({"tet": np.asfortranarray(IDENTITIES)})), "by columns"),
     "another shape": (_put(TABLE, npz({"tet": IDENTITIES[..., :2]})), r"expected an array \(n, m, 3, 3\)"),
     "a huge shape": (_put(TABLE, _table(IDENTITIES, (10**12, 12, 3, 3))), "beyond the 100000 images"),
-    "a huge list": (_put(TABLE, _table(IDENTITIES, (6, 10**9, 3, 3))), "3600 rotations allowed"),
+    "a huge list": (_put(TABLE, _table(IDENTITIES, (6, 10**9, 3, 3))), "1000 rotations allowed"),
     "a negative shape": (_put(TABLE, _table(IDENTITIES, (-6, 12, 3, 3))), "expected an array"),
     "code for a header": (_put(TABLE, lambda _: zip_of({"tet.npy": b"\x93NUMPY\1\0\x10\0__import__('os')"})), "tet: "),
     "a table that ends": (_put(TABLE, _table(IDENTITIES[:3], (6, 12, 3, 3))), "ends before its last image"),
@@ -362,7 +380,40 @@ HOSTILE = {
     "grey": (_put(IMAGE, png(np.zeros((16, 16), np.uint8))), "PNG of mode L, expected 8-bit RGB"),
     "grey of 16 bits": (_put(IMAGE, png(np.zeros((16, 16), np.uint16))), "PNG of mode I;16"),
     "a giant": (_put(IMAGE, png_of_size(2**30, 2**30)), "1073741824 x 1073741824 pixels, expected 16 to 2048"),
-    "a long one": (_put(IMAGE, b"\0" * (2**25 + 1)), "is of 33554433 bytes, more than the 33554432 allowed"),
+    "a bomb": (_put(IMAGE, b"\0" * (2**25 + 1)), "is of 33554433 bytes in 3[0-9]{4}, as only a bomb is packed"),
+    "a PNG and more": (
+        _put(IMAGE, lambda data: data + np.random.default_rng(0).bytes(2**17)),
+        "bytes, more than the 66560 allowed",
+    ),
+    "a PNG with two headers": (
+        _put(IMAGE, lambda data: with_chunk(data, b"IHDR", png_header(2**14, 2**14))),
+        "two hea",
+    ),
+    "a PNG without an end": (_put(IMAGE, lambda data: data[:-12]), "image file is truncated"),
+    "a PNG with a chunk of 4 GB": (
+        _put(IMAGE, lambda data: data[:33] + b"\xff\xff\xff\xffIDAT" + data[41:]),
+        "image file is truncated",
+    ),
+    "a header of 4 GB": (_put(TABLE, lambda _: zip_of({"tet.npy": b"\x93NUMPY\2\0\xff\xff\xff\xff"})), "4294967295 by"),
+    "a header of parentheses": (_put(TABLE, lambda _: header_of("(" * 9000)), "its header is none of an npy file"),
+    "a header of signs": (_put(TABLE, lambda _: header_of("-" * 9000 + "1")), "its header is none of an npy file"),
+    "a shape of 9,000 digits": (
+        _put(TABLE, lambda _: header_of(f"{{'descr': '<f4', 'fortran_order': False, 'shape': (0x{'f' * 9000}, 1)}}")),
+        "its header tells of no array of numbers",
+    ),
+    "a shape of true": (
+        _put(TABLE, lambda _: header_of("{'descr': '<f4', 'fortran_order': False, 'shape': (True, True, 3, 3)}")),
+        "its header tells of no array of numbers",
+    ),
+    "a table of zeros": (
+        _put(TABLE, bytes(2**24)),
+        "rotations.npz: is of 16777216 bytes in .* as only a bomb is packed",
+    ),
+    "an array of zeros": (
+        _put(TABLE, lambda _: zip_of({"tet.npy": npy(np.zeros((60_000, 12, 3, 3), "f4"))})),
+        "as only a bomb is packed",
+    ),
+    "a zip in place of an array": (_put(TABLE, lambda data: zip_of({"tet.npy": data})), "is no npy file"),
 }
 
 
@@ -401,12 +452,129 @@ def test_a_zip_that_names_files_elsewhere_writes_none(tmp_path, source):
     assert [there.name for there in tmp_path.iterdir()] == ["deep"]
 
 
-def test_a_table_that_says_it_unpacks_to_too_much_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(symsol_zip, "_MAX_TABLE_BYTES", 2**16)
+EXTRAS = {
+    "a profile that unpacks to a gigabyte": (b"iCCP", b"x\0\0" + zlib.compress(bytes(2**24), 9)),
+    "a text that unpacks to a gigabyte": (b"zTXt", b"x\0\0" + zlib.compress(bytes(2**24), 9)),
+    "an animation": (b"acTL", struct.pack(">II", 2**31 - 1, 0)),
+    "a colour that is none": (b"tRNS", struct.pack(">HHH", 1, 2, 3)),
+    "a chunk of nonsense": (b"eXIf", b"nonsense"),
+}
+
+
+@pytest.mark.parametrize(("kind", "content"), EXTRAS.values(), ids=EXTRAS)
+def test_what_else_a_png_holds_changes_no_pixel(tmp_path, kind, content):
+    files, arrays = symsol_source.content(("tet",))
+    files[IMAGE] = with_chunk(files[IMAGE], kind, content)
+    made = imported(write_zip(tmp_path / "s.zip", files, zipfile.ZIP_STORED), tmp_path / "sets")
+    assert np.array_equal(symsol_annot.load(made["tet"].folder)[4].image, arrays["tet", "test", "images"][4])
+
+
+def test_an_interlaced_png_is_read_as_it_is(tmp_path):
+    """Adam7 of 16 x 16 pixels of one colour: seven pictures of it, each row behind a filter's byte."""
+    rows = [(-(-(16 - y) // dy), -(-(16 - x) // dx)) for x, y, dx, dy in ADAM7]
+    data = b"".join((b"\0" + b"\x01\x02\x03" * width) * height for height, width in rows)
     files, _ = symsol_source.content(("tet",))
-    files[TABLE] = bytes(2**16 + 1)
-    with pytest.raises(DataError, match=r"rotations\.npz: is of 65537 bytes, more than the 65536"):
-        imported(write_zip(tmp_path / "s.zip", files), tmp_path / "sets")
+    head = struct.pack(">IIBBBBB", 16, 16, 8, 2, 0, 0, 1)
+    plain = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+        for kind, content in ((b"IHDR", head), (b"IDAT", zlib.compress(data)), (b"IEND", b""))
+    )
+    files[IMAGE] = plain
+    made = imported(write_zip(tmp_path / "s.zip", files), tmp_path / "sets")
+    assert (symsol_annot.load(made["tet"].folder)[4].image == (1, 2, 3)).all()
+
+
+ADAM7 = [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)]
+
+
+def test_a_zip_whose_list_of_files_is_a_bomb_is_refused_before_it_is_read(tmp_path):
+    """A sparse gigabyte of list: 23 million names of nothing."""
+    path = tmp_path / "s.zip"
+    with path.open("wb") as file:
+        file.truncate(2**30)
+        file.seek(2**30)
+        file.write(struct.pack("<4sHHHHIIH", b"PK\5\6", 0, 0, 0xFFFF, 0xFFFF, 2**30, 0, 0))
+    with pytest.raises(DataError, match=r"list of files has 1,073,741,824 bytes, more than the 50,000,000"):
+        imported(path, tmp_path / "sets")
+
+
+def test_files_that_lie_over_each_other_are_refused(tmp_path):
+    """As in the bombs of which every file is the same one, packed once."""
+    files, _ = symsol_source.content(("tet",))
+    path = write_zip(tmp_path / "s.zip", files, zipfile.ZIP_STORED)
+    data = bytearray(path.read_bytes())
+    with zipfile.ZipFile(path) as file:
+        first, second = (info.header_offset for info in file.infolist()[1:3])
+    place = data.rindex(struct.pack("<I", second))
+    data[place : place + 4] = struct.pack("<I", first)
+    path.write_bytes(data)
+    with pytest.raises(DataError, match="lie over each other"):
+        imported(path, tmp_path / "sets")
+
+
+UNLUCKY = [
+    "/etc/passwd",
+    "..\\..\\x.png",
+    "C:\\x.png",
+    "test/images/",
+    "test/images/tet_0000٣.png",
+    "a\x1b[2J",
+    "x" * 60_000,
+]
+
+
+def test_names_of_any_kind_beside_the_sources_own_are_passed_over(tmp_path):
+    files, arrays = symsol_source.content(("tet",))
+    path = write_zip(tmp_path / "s.zip", {**files, **dict.fromkeys(UNLUCKY, b"x")})
+    made = imported(path, tmp_path / "sets")
+    assert sorted(there.name for there in tmp_path.iterdir()) == ["s.zip", "sets"]
+    assert np.array_equal(symsol_annot.load(made["tet"].folder)[4].image, arrays["tet", "test", "images"][4])
+
+
+def test_many_thousand_names_are_read_in_time(tmp_path):
+    files, _ = symsol_source.content(("tet",))
+    path = write_zip(tmp_path / "s.zip", {**files, **{f"x{i}": b"" for i in range(70_000)}}, zipfile.ZIP_STORED)
+    start = time.process_time()
+    with SymsolZip(path) as source:
+        assert source.objects == ("tet",)
+    assert time.process_time() - start < 10.0
+
+
+def test_a_zip_that_is_written_to_while_it_is_read_leaves_no_set(tmp_path):
+    files, _ = symsol_source.content(("tet",))
+    path = write_zip(tmp_path / "s.zip", files)
+
+    def grow(_):
+        with path.open("ab") as file:
+            file.write(b"more")
+
+    with pytest.raises(DataError, match="was changed while it was read"):
+        imported(path, tmp_path / "sets", on_begin=grow)
+    assert list((tmp_path / "sets").glob("*")) == []
+
+
+def test_a_zip_that_is_replaced_while_it_is_read_is_read_to_its_end(tmp_path, source):
+    files, _ = symsol_source.content(NAMES)
+    path = write_zip(tmp_path / "s.zip", files)
+    made = imported(
+        path, tmp_path / "sets", "tet", on_begin=lambda _: Path(shutil.copy(__file__, tmp_path)).replace(path)
+    )
+    there = everything(made["tet"].folder)
+    assert there.keys() == everything(source[2]["tet"].folder).keys()
+    assert verify(made["tet"].folder) == []
+
+
+def test_a_link_out_of_the_folder_is_not_written_through(source, tmp_path):
+    path, _, _ = source
+    folder = imported(path, tmp_path / "sets", "tet")["tet"].folder
+    mine = tmp_path / "mine.h5"
+    mine.write_text("mine")
+    shard = folder / "test-00000-of-00001.h5"
+    shard.unlink()
+    shard.symlink_to(mine)
+    with pytest.raises(OutputError, match="outside the set's folder; nothing was written"):
+        imported(path, tmp_path / "sets", "tet")
+    assert (mine.read_text(), shard.is_symlink()) == ("mine", True)
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
@@ -427,9 +595,13 @@ def test_zips_that_are_packed_in_odd_ways_are_refused(tmp_path):
     cut.write_bytes(data[: len(data) // 2])
     others = (
         (tmp_path / "none.zip", "no such file"),
-        (tmp_path, "is no regular file"),
+        (tmp_path, "is a folder"),
         (Path("/dev/null"), "is no reg"),
+        (Path("/dev/zero"), "is no reg"),
+        (tmp_path / "fifo", "is no reg"),
+        (tmp_path / "plain.zip" / "x", "Not a directory"),
     )
+    os.mkfifo(tmp_path / "fifo")
     for path, message in ((cut, "cannot be read as a zip"), *others):
         with pytest.raises(DataError, match=message):
             imported(path, tmp_path / "sets")
@@ -454,14 +626,14 @@ def test_an_import_that_is_stopped_leaves_whole_objects_alone(source, tmp_path, 
     assert everything(tmp_path / "sets" / "cone") == everything(made["cone"].folder)
 
 
-def test_what_a_killed_import_left_is_swept_up(source, tmp_path):
+def test_a_folder_of_somebodys_beside_the_sets_is_left_alone(source, tmp_path):
     path, _, _ = source
-    left = tmp_path / "sets" / ".tet.partial"
-    left.mkdir(parents=True)
-    (left / "train-00000-of-00002.h5").write_bytes(b"half")
+    theirs = tmp_path / "sets" / ".tet.partial"
+    theirs.mkdir(parents=True)
+    (theirs / "train-00000-of-00002.h5").write_bytes(b"mine")
     imported(path, tmp_path / "sets", "tet")
-    assert [there.name for there in (tmp_path / "sets").iterdir()] == ["tet"]
-    assert verify(tmp_path / "sets" / "tet") == []
+    assert sorted(there.name for there in (tmp_path / "sets").iterdir()) == [".tet.partial", "tet"]
+    assert everything(theirs) == {"train-00000-of-00002.h5": b"mine"}
 
 
 def _flip(path):
@@ -492,6 +664,7 @@ def test_an_import_that_lost_a_shard_is_made_again_by_the_same_command(source, h
     assert [line.endswith("was there already") for line in again.stdout.splitlines()] == [False, True]
     found = everything(folder)
     assert found.pop("notes.txt") == b"mine"
+    found.pop("nowhere", None)  # a link stays a link, and what it leads to is made
     assert found == everything(made["tet"].folder)
     assert here(*words).stdout.count("was there already") == 2
 
@@ -538,12 +711,12 @@ def test_a_rendered_shard_does_not_pass_for_an_imported_one(source, tmp_path):
     with h5py.File(rendered / "test-00000-of-00001.h5", "a") as file:
         file.attrs["source"] = "{}"
     with pytest.raises(DataError, match="attribute 'seed' is not part of an imported shard"):
-        symsol_annot.load(rendered)[0]
+        symsol_annot.load(rendered, check=False)[0]
     folder = imported(path, tmp_path, "tet")["tet"].folder
     with h5py.File(folder / "test-00000-of-00001.h5", "a") as file:
         file["segmentation"] = np.zeros((6, 16, 16), dtype="u1")
     with pytest.raises(DataError, match="'segmentation' is not part of an imported shard"):
-        symsol_annot.load(folder)[0]
+        symsol_annot.load(folder, check=False)[0]
 
 
 def test_a_manifest_that_invents_a_seed_is_refused(source, tmp_path):

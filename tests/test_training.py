@@ -1,11 +1,16 @@
 """Training on tiny images: it learns, goes on as if it had never stopped, and refuses what cannot be trained on."""
 
 import csv
+import hashlib
 import json
+import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -117,7 +122,7 @@ def test_a_handful_of_images_is_learnt_by_heart_and_scores_a_recall_over_0_9(tmp
     path = tmp_path / "preds.h5"
     with load(tmp_path / "cylO", "train") as images:
         for track, recipe in {"hypotheses": wta, "classifier": frozen}.items():
-            losses = [row["loss"] for row in train(recipe, images, tmp_path / track, CPU).rows]
+            losses = [row["loss"] for row in train(recipe, images, tmp_path / track, CPU, name=track).rows]
             assert np.mean(losses[-5:]) < 0.5 * np.mean(losses[:5]), track
         assert (
             predict(open_checkpoint(tmp_path / "classifier"), images, path, torch.device("cpu"), level=1)
@@ -384,7 +389,7 @@ def test_validation_images_that_leave_none_and_a_device_that_is_not_here_are_ref
     for name in ("cuda:9", "gpu"):
         with pytest.raises(SettingsError, match=f"there is no '{name}' here"):
             train(HYPOTHESES, images, tmp_path / "run", replace(CPU, device=name))
-    with pytest.raises(SettingsError, match="epochs: expected 1 or more, found 0"):
+    with pytest.raises(SettingsError, match="epochs: expected 1 to 10000, found 0"):
         train(HYPOTHESES, images, tmp_path / "run", replace(CPU, epochs=0))
 
 
@@ -438,6 +443,156 @@ def test_checkpoints_hold_no_pickles(trained):
             assert safetensors.torch.load(file.read_bytes())
 
 
+def changed_record(whole, path, **changes):
+    """A checkpoint's file whose record says otherwise."""
+    with safetensors.safe_open(whole, framework="pt") as content:
+        record = json.loads(content.metadata()["record"])
+    rows = record["rows"]
+    for name, value in changes.items():
+        if name.startswith("row_"):
+            rows[1][name.removeprefix("row_")] = value
+        else:
+            record[name] = value
+    return copy_of(whole, path, metadata={"record": json.dumps(record)})
+
+
+WRONG = {
+    "a name of two lines": ({"name": "a\nb"}, "name: expected 1 to 200 printable"),
+    "a name that is a number": ({"name": 3}, "name: expected 1 to 200 printable"),
+    "an object that is a path": ({"object": "../../etc"}, "object: expected 1 to 64 letters"),
+    "an object that is a list": ({"object": ["tetX"]}, "object: expected 1 to 64 letters"),
+    "a size that is text": ({"image_size": "16"}, "image_size: expected two whole numbers"),
+    "a size of one side": ({"image_size": [16]}, "image_size: expected two whole numbers"),
+    "a size of true": ({"image_size": [True, 16]}, "image_size: expected two whole numbers"),
+    "a size of fractions": ({"image_size": [16.0, 16]}, "image_size: expected two whole numbers"),
+    "a huge size": ({"image_size": [10**9, 16]}, "image_size: expected two whole numbers"),
+    "no epochs": ({"epochs": 0}, "epochs: expected 1 to 10000"),
+    "epochs of true": ({"epochs": True}, "epochs: expected 1 to 10000"),
+    "10^30 epochs": ({"epochs": 10**30}, "epochs: expected 1 to 10000"),
+    "fewer epochs than rows": ({"epochs": 3}, "rows: expected a list of up to 3"),
+    "a negative seed": ({"seed": -1}, "seed: expected 0 to"),
+    "a seed of text": ({"seed": "0"}, "seed: expected 0 to"),
+    "a fingerprint without end": ({"train_fingerprint": "x" * 2000}, "train_fingerprint: expected text of up to"),
+    "a first stage that is none": ({"first_stage": None}, "first_stage: expected text"),
+    "rows that are a number": ({"rows": 4}, "rows: expected a list"),
+    "a row that is a list": ({"rows": [[1]]}, "not in 1"),
+    "a figure that is a list": ({"row_loss": [1.0]}, "not in 2"),
+    "a figure that is true": ({"row_recall_mean_error_rad": True}, "not in 2"),
+    "a figure that is text": ({"row_seconds": "1.0"}, "not in 2"),
+    "a loss that is not a number": ({"row_loss": float("nan")}, "not in 2"),
+    "an infinite figure": ({"row_recall_mean_error_rad": float("inf")}, "not in 2"),
+    "a figure of 400 digits": ({"row_seconds": 10**400}, "not in 2"),
+    "another epoch's row": ({"row_epoch": 3}, "not in 2"),
+    "a row without its loss": ({"rows": [{"epoch": 1}]}, "not in 1"),
+    "versions that are a list": ({"software": []}, "software: expected texts"),
+    "a version that is a number": ({"software": {"torch": 2}}, "software: expected texts"),
+}
+
+
+@pytest.mark.parametrize(("changes", "said"), WRONG.values(), ids=WRONG)
+def test_a_record_of_other_types_or_beyond_bounds_is_refused(changes, said, trained, tmp_path):
+    path = changed_record(trained["hypotheses"] / "weights.safetensors", tmp_path / "a.safetensors", **changes)
+    with pytest.raises(WeightsError, match="what it says of its training is damaged: ") as caught:
+        read_record(path)
+    assert said in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("metadata", "said"),
+    [
+        ({"record": "[" * 100_000}, "is damaged"),
+        ({"record": '"text"'}, "expected a record's parts by their names"),
+        ({"record": "{}"}, "'image_size' is missing"),
+        ({"record": '{"image_size": ' + "9" * 10_000 + "}"}, "is damaged"),
+        ({"format_version": "9" * 5000}, "format_version 1, found '9999"),
+        ({"format_version": "\u0661"}, "format_version 1, found"),
+        ({"recipe": "a = " + "[" * 9999}, "is no TOML: it is nested too deep"),
+        ({"recipe": "x" * 10**6}, "it has 1,000,000 characters, more than"),
+    ],
+)
+def test_metadata_that_were_made_to_do_harm_are_one_short_error(metadata, said, trained, tmp_path):
+    path = copy_of(trained["hypotheses"] / "weights.safetensors", tmp_path / "a.safetensors", metadata=metadata)
+    for opened in (read_record, open_checkpoint):
+        with pytest.raises(WeightsError) as caught:
+            opened(path)
+        assert said in str(caught.value)
+        assert len(str(caught.value)) < 1000
+
+
+def test_a_record_that_asks_for_a_gigantic_model_is_refused_before_it_is_made(trained, tmp_path):
+    text = checkpoints.recipe_to_toml(HYPOTHESES).replace("hypotheses = 4", "hypotheses = 1000000000")
+    path = copy_of(trained["hypotheses"] / "weights.safetensors", tmp_path / "a.safetensors", metadata={"recipe": text})
+    with pytest.raises(WeightsError, match="hypotheses: expected 1 to 10000, found 1000000000"):
+        open_checkpoint(path)
+
+
+def test_what_is_no_file_of_a_checkpoint_is_refused_without_waiting(tmp_path):
+    for name, put in {
+        "fifo": os.mkfifo,
+        "device": lambda path: path.symlink_to("/dev/zero"),
+        "folder": Path.mkdir,
+    }.items():
+        (tmp_path / name).mkdir()
+        put(tmp_path / name / "weights.safetensors")
+        for path in (tmp_path / name, tmp_path / name / "weights.safetensors"):
+            with pytest.raises(WeightsError, match=r"is no regular file|is a folder|there is no such checkpoint"):
+                open_checkpoint(path)
+    (tmp_path / "other").mkdir()
+    assert trained_networks(tmp_path, SimpleNamespace(train_fingerprint="", image_size=())) == []
+    with pytest.raises(WeightsError, match="there is no such checkpoint"):
+        open_checkpoint(tmp_path / "other")
+
+
+def test_record_and_weights_of_a_checkpoint_are_those_of_one_file(trained, tmp_path, monkeypatch):
+    """It is replaced by another's as soon as it is opened; and the digest is of what was read."""
+    whole, other = (trained[name] / "weights.safetensors" for name in ("hypotheses", "classifier"))
+    path = Path(shutil.copy(whole, tmp_path / "a.safetensors"))
+    open_file = os.open
+
+    def open_and_replace(name, *rest, **options):
+        descriptor = open_file(name, *rest, **options)
+        if Path(name) == path:
+            Path(shutil.copy(other, tmp_path / "b.safetensors")).replace(path)
+        return descriptor
+
+    monkeypatch.setattr(os, "open", open_and_replace)
+    opened = open_checkpoint(path)
+    assert opened.record.name == "hypotheses"
+    assert opened.sha256 == hashlib.sha256(whole.read_bytes()).hexdigest()
+    assert torch.equal(opened.model.state_dict()["output.bias"], read_weights(whole)["output.bias"])
+    assert path.read_bytes() == other.read_bytes()
+
+
+def test_an_epoch_whose_figure_is_undefined_is_not_the_best(trained, tmp_path):
+    whole = trained["hypotheses"] / "weights.safetensors"
+    figure = "recall_mean_error_rad"
+    best = best_epoch(read_record(whole))
+    rows = [dict(row) for row in read_record(whole).rows]
+    for undefined in range(4):
+        changed = [row | ({figure: float("nan")} if epoch == undefined else {}) for epoch, row in enumerate(rows)]
+        record = read_record(changed_record(whole, tmp_path / "a.safetensors", rows=changed))
+        known = [epoch for epoch in range(4) if epoch != undefined]
+        assert best_epoch(record) == min(reversed(known), key=lambda epoch: rows[epoch][figure]) + 1
+    assert best in range(1, 5)
+
+
+@pytest.mark.parametrize(
+    ("options", "name", "said"),
+    [
+        ({"seed": -1}, "", "seed: expected 0 to"),
+        ({"seed": 2**63}, "", "seed: expected 0 to"),
+        ({"epochs": 10_001}, "", "epochs: expected 1 to 10000"),
+        ({}, "a\nb", "name: expected 1 to 200 printable"),
+        ({}, "x" * 201, "name: expected 1 to 200 printable"),
+    ],
+)
+def test_what_no_checkpoint_can_hold_is_refused_before_training(options, name, said, images, tmp_path):
+    with pytest.raises(SettingsError, match=said):
+        train(HYPOTHESES, images, tmp_path / "run", replace(CPU, **options), name=name)
+    assert not (tmp_path / "run").exists()
+
+
 # --- the command ---
 
 
@@ -469,6 +624,31 @@ def test_train_predict_and_score_from_the_command_line(data, here, tmp_path, mon
     assert (done.returncode, done.stderr) == (0, "")
     done = here("score", "preds.h5", "--data", data)
     assert done.stdout.startswith("tetX, test split, 3 images: tiny")
+
+
+@pytest.mark.parametrize("name", ["..toml", "a b.toml", "..", "-x.toml", "tiny.v2.toml"])
+def test_a_run_lies_in_runs_whatever_its_recipe_is_called(name, data, here, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if name != "..":
+        (tmp_path / name).write_text(RECIPE_TOML)
+    done = here("train", "--data", data, "--device", "cpu", "--", name)
+    folders = [path for path in tmp_path.iterdir() if path.is_dir()]
+    if name == "..":
+        assert (done.returncode, folders) == (1, [])
+        return
+    assert (done.returncode, folders) == (0, [tmp_path / "runs"])
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [f"tetX-{name.removesuffix('.toml')}"]
+    assert open_checkpoint(tmp_path / "runs" / f"tetX-{name.removesuffix('.toml')}").record.is_finished
+
+
+@pytest.mark.parametrize("name", ["a\nb.toml", "\x1b[2J.toml"])
+def test_a_recipe_whose_name_could_act_on_a_terminal_is_refused(name, data, here, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text(RECIPE_TOML)
+    done = here("train", name, "--data", data, "--device", "cpu")
+    assert (done.returncode, "rename it" in done.stderr) == (1, True)
+    assert "\x1b" not in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def test_the_command_lists_recipes(here):

@@ -1,6 +1,5 @@
 """Checking a set: every fault that can be put into one is found and named, and a good set has none."""
 
-import hashlib
 import os
 import random
 import shutil
@@ -10,12 +9,14 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+import tampering
 from conftest import make_set
+from tampering import ChunkIndex, flip_bit, flip_chunk, put, reseal
 
+from symsol_annot import shards
 from symsol_annot import verify as verify_module
 from symsol_annot.errors import DataError
 from symsol_annot.manifest import read_manifest, write_manifest
-from symsol_annot.shards import content_sha256
 from symsol_annot.verify import verify
 
 SHARDS = ("test-00000-of-00003.h5", "test-00001-of-00003.h5", "test-00002-of-00003.h5", "train-00000-of-00001.h5")
@@ -23,39 +24,16 @@ SECOND, FIRST_INDEX = SHARDS[1], 16  # the shard that is tampered with, and the 
 TOLERANCE_PX = 5.0
 
 
-def reseal(folder, **entry_changes):
-    """Make the manifest say that the shards were made as they are now: a tampering that no checksum shows."""
-    manifest = read_manifest(folder)
-    for entry in manifest.shards:
-        path = folder / entry.file
-        data = path.read_bytes()
-        try:
-            with h5py.File(path) as shard:
-                contents = content_sha256(shard)
-        except OSError:
-            contents = entry.content_sha256
-        sealed = replace(entry, bytes=len(data), sha256=hashlib.sha256(data).hexdigest(), content_sha256=contents)
-        manifest = manifest.with_finished(replace(sealed, **entry_changes.get(entry.file, {})))
-    write_manifest(folder, manifest)
-
-
 @contextmanager
 def tampered(folder, file=SECOND):
     """Open a shard for editing, and reseal the set."""
-    with h5py.File(folder / file, "r+") as shard:
+    with tampering.tampered(folder, file) as shard:
         yield shard
-    reseal(folder)
 
 
 def rows(shard, shown):
     """The rows whose image shows the marking, or hides it."""
     return np.flatnonzero((shard["marking_pixels"][...] >= TOLERANCE_PX) == shown)
-
-
-def flip_bit(path, bit):
-    data = bytearray(path.read_bytes())
-    data[bit // 8] ^= 1 << bit % 8
-    path.write_bytes(data)
 
 
 def state(folder):
@@ -135,7 +113,7 @@ def test_missing_shard_is_found(tetX_set):
 def test_folder_in_place_of_a_shard_is_found(tetX_set):
     (tetX_set / SECOND).unlink()
     (tetX_set / SECOND).mkdir()
-    assert verify(tetX_set) == [f"{SECOND}: is missing or cannot be read: is no regular file"]
+    assert verify(tetX_set) == [f"{SECOND}: is missing or cannot be read: is a folder, where a file belongs"]
 
 
 def test_extra_shard_is_found(tetX_set):
@@ -178,7 +156,8 @@ def test_damaged_shard_is_never_handed_to_hdf5(tetX_set, monkeypatch):
 
     for number, name in enumerate(SHARDS):
         flip_bit(tetX_set / name, 10_000 + number)
-    for owner, name in ((h5py, "File"), (verify_module, "open_shard"), (verify_module, "content_sha256")):
+    owners = ((h5py, "File"), (verify_module, "open_shard"), (shards._DESCRIBER, "describe"))
+    for owner, name in owners:
         monkeypatch.setattr(owner, name, refuse)
     faults = verify(tetX_set)
     assert sorted(fault.split(":")[0] for fault in faults) == sorted(SHARDS)
@@ -268,9 +247,12 @@ def test_images_that_show_the_marking_with_different_sets_are_found(tetX_set, gr
 def test_set_of_a_hidden_marking_that_lacks_a_rotation_of_the_stabiliser_is_found(tetX_set):
     with tampered(tetX_set) as shard:
         stabiliser = np.flatnonzero(shard["symmetry_mask"][rows(shard, shown=True)[0]])
-        shard["symmetry_mask"][rows(shard, shown=False)[0], stabiliser[-1]] = False
+        row = rows(shard, shown=False)[0]
+        shard["symmetry_mask"][row, stabiliser[-1]] = False
     (fault,) = verify(tetX_set)
-    assert fault.startswith(f"{SECOND}: symmetry_mask: a set of a hidden marking lacks")
+    assert fault.startswith(
+        f"{SECOND}: symmetry_mask: image {FIRST_INDEX + row}: the set lacks a rotation that differs"
+    )
 
 
 def test_set_of_a_body_without_marking_that_is_not_its_whole_group_is_found(tmp_path):
@@ -324,7 +306,7 @@ def test_header_that_disagrees_with_the_manifest_is_found(tetX_set, name):
 
 def test_number_of_images_that_disagrees_with_the_manifest_is_found(tetX_set):
     reseal(tetX_set, **{SHARDS[2]: {"images": 7}})
-    assert verify(tetX_set) == [f"{SHARDS[2]}: the manifest says 7 images, the shard holds 8"]
+    assert verify(tetX_set) == [f"{SHARDS[2]}: expected 7 images, found 8"]
 
 
 @pytest.mark.parametrize("file", [SHARDS[0], SHARDS[3]])
@@ -333,7 +315,7 @@ def test_symmetry_sets_that_disagree_with_the_manifest_are_found(tetX_set, file)
         if "symmetry_mask" in shard:
             del shard["symmetry_mask"]
         else:
-            shard["symmetry_mask"] = np.ones((5, 12), dtype=bool)
+            put(shard, "symmetry_mask", np.ones((5, 12), dtype=bool))
     (fault,) = verify(tetX_set)
     assert fault.startswith(f"{file}: symmetry_mask: manifest and shard disagree")
 
@@ -361,12 +343,21 @@ def test_file_that_is_no_hdf5_under_a_shards_name_is_found(tetX_set):
 
 @pytest.mark.parametrize("name", ["image", "segmentation", "rotation", "symmetry_group"])
 def test_chunk_that_hdf5_cannot_read_is_found(tetX_set, name):
-    with h5py.File(tetX_set / SECOND) as shard:
-        chunk = shard[name].id.get_chunk_info(0)
-    flip_bit(tetX_set / SECOND, 8 * (chunk.byte_offset + chunk.size // 2))
+    flip_chunk(tetX_set / SECOND, name)
     reseal(tetX_set)
-    faults = verify(tetX_set)
-    assert [fault for fault in faults if fault.startswith(SECOND)]
+    (fault,) = verify(tetX_set)
+    assert fault.startswith(f"{SECOND}: ")
+    assert f"cannot be read: {name}: " in fault
+
+
+def test_chunk_that_the_index_does_not_find_is_found(tetX_set):
+    """HDF5 gives zeros for it, and says nothing."""
+    ChunkIndex(tetX_set / SECOND, "symmetry_mask").change_offset(0, 0, 16)
+    with h5py.File(tetX_set / SECOND) as shard:
+        assert not shard["symmetry_mask"][...].any()
+    reseal(tetX_set)
+    (fault,) = verify(tetX_set)
+    assert "'symmetry_mask': the file's index is damaged: a chunk is missing, or there twice" in fault
 
 
 def test_attribute_of_a_wrong_type_is_found(tetX_set):

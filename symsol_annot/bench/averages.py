@@ -13,6 +13,7 @@ MIN_IMAGES = 20  # under which an interval would say nothing
 INTERVAL = (2.5, 97.5)  # percentiles
 _SEED = 20240723
 _DRAWS_AT_ONCE = 125
+_COUNTS_AT_ONCE = 2**23  # which bounds the memory that draws of many images take
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +134,13 @@ def _resampled(summands: Values, weights: Values) -> Values:
 def _draws(images: int) -> Iterator[Values]:
     """Yield how often each image is drawn, some draws at a time: (draws, images). Depends on nothing but the count."""
     rng = np.random.Generator(np.random.PCG64(_SEED))
-    for _ in range(DRAWS // _DRAWS_AT_ONCE):
-        drawn = rng.integers(images, size=(_DRAWS_AT_ONCE, images))
-        drawn += images * np.arange(_DRAWS_AT_ONCE)[:, None]
-        counts = np.bincount(drawn.reshape(-1), minlength=_DRAWS_AT_ONCE * images)
-        yield counts.reshape(_DRAWS_AT_ONCE, images).astype(np.float64)
+    at_once = max(1, min(_DRAWS_AT_ONCE, _COUNTS_AT_ONCE // images))
+    for start in range(0, DRAWS, at_once):
+        draws = min(at_once, DRAWS - start)
+        drawn = rng.integers(images, size=(draws, images))
+        drawn += images * np.arange(draws)[:, None]
+        counts = np.bincount(drawn.reshape(-1), minlength=draws * images)
+        yield counts.reshape(draws, images).astype(np.float64)
 
 
 def _ratio(summands: Values, weights: Values) -> Values:

@@ -8,17 +8,19 @@
 state.safetensors is written first and holds all of the others, so that they agree again whenever training goes on.
 """
 
+import contextlib
 import csv
 import io
 import json
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import roma
-import safetensors
 import safetensors.torch
 import torch
 from torch import nn
@@ -28,11 +30,14 @@ from symsol_annot.bench.devices import hardware
 from symsol_annot.bench.format import version_fault
 from symsol_annot.bench.metric_table import HIGHER, metric_of
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
-from symsol_annot.bench.recipe import HypothesisRecipe, Recipe, recipe_from_toml, recipe_to_toml
-from symsol_annot.bench.weights import Weights, load_weights, read_weights
+from symsol_annot.bench.recipe import MAX_EPOCHS, HypothesisRecipe, Recipe, recipe_from_toml, recipe_to_toml
+from symsol_annot.bench.safetensors_file import Content, Weights, read_content, read_metadata
+from symsol_annot.bench.weights import load_weights
 from symsol_annot.dataset import Dataset
 from symsol_annot.errors import ModelError, SettingsError, WeightsError
 from symsol_annot.files import write_atomically
+from symsol_annot.names import METHOD_NAME_RULE, OBJECT_NAME_RULE, is_method_name, is_object_name
+from symsol_annot.scene import SIZE_RANGE
 
 WEIGHTS, BEST, STATE = "weights.safetensors", "best.safetensors", "state.safetensors"
 RECIPE, METRICS, CURVE = "recipe.toml", "metrics.csv", "curve.png"
@@ -40,6 +45,11 @@ _FORMAT, _FORMAT_VERSION = "symsol-annot checkpoint", 1
 _BEST_BY = {"hypotheses": "recall_mean_error_rad", "classifier": "f_measure"}  # of the epochs
 _MEANS = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
 _SETTING = ("recipe", "object", "image_size", "train_fingerprint", "epochs", "seed")  # what decides the weights
+
+_MAX_TEXT, _MAX_TEXTS = 1000, 64  # characters of what a record says in words; how many figures or versions
+_ALWAYS, _LARGEST_FIGURE = ("loss", "learning_rate"), 1e300
+_VERSION = re.compile(r"[0-9]{1,9}")
+MAX_SEED = 2**63 - 1
 
 Row = dict[str, float]
 
@@ -49,7 +59,7 @@ class TrainingRecord:
     """What is known of a training.
 
     Attributes:
-        name: the recipe's.
+        name: the recipe's; "" where nobody named it.
         recipe: for the object.
         object: trained on.
         image_size: width and height.
@@ -57,7 +67,7 @@ class TrainingRecord:
         epochs: how many there are to be; the recipe's schedule is stretched or shortened to them.
         seed: of first weights, order and random rotations.
         first_stage: where it began: a file of weights by its SHA-256, or what the recipe says.
-        rows: the figures of each finished epoch.
+        rows: the figures of each finished epoch, its number and loss among them; NaN where one is undefined.
         software: versions, and what it ran on.
     """
 
@@ -99,11 +109,13 @@ class Checkpoint:
         path: of its weights.
         record: what is known of its training.
         model: in eval mode, on the CPU.
+        sha256: of the file that both were read from; "" for a model that was read from none.
     """
 
     path: Path
     record: TrainingRecord
     model: HypothesisNetwork | RotationClassifier
+    sha256: str = ""
 
     def refuse_other_images(self, dataset: Dataset) -> None:
         """Refuse images unlike those that the model was trained on.
@@ -145,11 +157,19 @@ def open_checkpoint(path: Path) -> Checkpoint:
     Raises:
         WeightsError: there is none, it is damaged, of another program, or its weights are not its recipe's.
     """
-    file = path / WEIGHTS if path.is_dir() else path
-    record = read_record(file)
+    file = weights_file(path)
+    record, content = read_checkpoint_file(file)
     model = new_model(record.recipe, None, 0)
-    load_weights(model, read_weights(file), str(file), f"the weights of its recipe, {record.name}")
-    return Checkpoint(file, record, model.eval())
+    load_weights(model, content.tensors, str(file), f"the weights of its recipe, {record.name}")
+    return Checkpoint(file, record, model.eval(), content.sha256)
+
+
+def weights_file(path: Path) -> Path:
+    """Return the file of weights that is meant by a checkpoint's folder, or by the file itself."""
+    try:
+        return path / WEIGHTS if path.is_dir() else path
+    except OSError:  # whoever opens it says why
+        return path
 
 
 def read_record(file: Path) -> TrainingRecord:
@@ -158,24 +178,50 @@ def read_record(file: Path) -> TrainingRecord:
     Raises:
         WeightsError: there is no such file, it is damaged, or none of this program's.
     """
-    if not file.is_file():
-        raise WeightsError(f"{file}: there is no such checkpoint; `symsol-annot train` makes one")
+    with _reading_errors(file):
+        metadata = read_metadata(file)
+    return _record_of(metadata, file)
+
+
+def read_checkpoint_file(file: Path) -> tuple[TrainingRecord, Content]:
+    """Return what a checkpoint's file says of its training, and all that it holds, read from the same file.
+
+    Raises:
+        WeightsError: there is no such file, it is damaged, or none of this program's.
+    """
+    with _reading_errors(file):
+        content = read_content(file)
+    return _record_of(content.metadata, file), content
+
+
+@contextlib.contextmanager
+def _reading_errors(file: Path) -> Iterator[None]:
     try:
-        with safetensors.safe_open(file, framework="pt") as content:
-            metadata = content.metadata() or {}
-    except (safetensors.SafetensorError, OSError, ValueError) as error:
-        raise WeightsError(f"{file}: the checkpoint is damaged ({type(error).__name__}: {error})") from None
+        yield
+    except FileNotFoundError:
+        raise WeightsError(f"{file}: there is no such checkpoint; `symsol-annot train` makes one") from None
+    except OSError as error:
+        raise WeightsError(f"{file}: the checkpoint cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise WeightsError(
+            f"{file}: the checkpoint is damaged, or none of `symsol-annot train`, whose files end in .safetensors: "
+            f"{error}"
+        ) from None
+
+
+def _record_of(metadata: Mapping[str, str], file: Path) -> TrainingRecord:
     if metadata.get("format") != _FORMAT:
         raise WeightsError(
             f"{file}: holds no recipe, so it is no checkpoint of `symsol-annot train`, whose files end in .safetensors"
         )
     found = metadata.get("format_version", "")
-    if fault := version_fault(int(found) if found.isdecimal() else found, _FORMAT_VERSION):
+    if fault := version_fault(int(found) if _VERSION.fullmatch(found) else found, _FORMAT_VERSION):
         raise WeightsError(f"{file}: {fault}")
     try:
         return _record(metadata, str(file))
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, SettingsError) as error:
-        raise WeightsError(f"{file}: what it says of its training is damaged: {error}") from None
+    except (KeyError, ValueError, RecursionError, SettingsError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else error
+        raise WeightsError(f"{file}: what it says of its training is damaged: {what}") from None
 
 
 def save(folder: Path, record: TrainingRecord, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
@@ -204,14 +250,18 @@ def publish(folder: Path, record: TrainingRecord, model: nn.Module) -> None:
     write_atomically(folder / METRICS, metrics_csv(record.rows).encode())
 
 
-def restore(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
+def restore(file: Path, found: Weights, model: nn.Module, optimizer: torch.optim.Optimizer) -> None:
     """Give model and optimiser what `save` wrote.
 
+    Args:
+        file: where it comes from, for error messages.
+        found: its tensors.
+        model: takes the weights.
+        optimizer: takes Adam's means.
+
     Raises:
-        WeightsError: it is damaged or another model's; the message says what to do.
+        WeightsError: it is another model's; the message says what to do.
     """
-    file = folder / STATE
-    found = read_weights(file)
     own = {name.removeprefix("weights/"): tensor for name, tensor in found.items() if name.startswith("weights/")}
     load_weights(model, own, str(file), "the weights of its recipe")
     parameters = dict(model.named_parameters())
@@ -231,7 +281,8 @@ def best_epoch(record: TrainingRecord) -> int | None:
     track = "hypotheses" if isinstance(record.recipe, HypothesisRecipe) else "classifier"
     best_by = metric_of(track, _BEST_BY[track])
     sign = 1.0 if best_by.better == HIGHER else -1.0
-    known = [(sign * row[best_by.name], epoch) for epoch, row in enumerate(record.rows, 1) if best_by.name in row]
+    figures = [sign * row.get(best_by.name, math.nan) for row in record.rows]
+    known = [(figure, epoch) for epoch, figure in enumerate(figures, 1) if not math.isnan(figure)]
     return max(known)[1] if known else None
 
 
@@ -268,17 +319,62 @@ def _metadata(record: TrainingRecord) -> dict[str, str]:
 
 
 def _record(metadata: Mapping[str, str], source: str) -> TrainingRecord:
-    known: dict[str, Any] = json.loads(metadata["record"])
-    width, height = (int(side) for side in known["image_size"])
-    return TrainingRecord(
-        name=str(known["name"]),
-        recipe=recipe_from_toml(metadata["recipe"], source),
-        object=str(known["object"]),
-        image_size=(width, height),
-        train_fingerprint=str(known["train_fingerprint"]),
-        epochs=int(known["epochs"]),
-        seed=int(known["seed"]),
-        first_stage=str(known["first_stage"]),
-        rows=tuple({str(name): float(value) for name, value in row.items()} for row in known["rows"]),
-        software={str(name): str(value) for name, value in known["software"].items()},
+    """Return the record that metadata hold, each part of its type and within bounds; ValueError where one is not."""
+    known = json.loads(metadata["record"])
+    _require(isinstance(known, dict), "expected a record's parts by their names")
+    size, rows, software = known["image_size"], known["rows"], known["software"]
+    _require(known["name"] == "" or is_method_name(known["name"]), f"name: expected {METHOD_NAME_RULE}")
+    _require(is_object_name(known["object"]), f"object: expected {OBJECT_NAME_RULE}")
+    _require(
+        isinstance(size, list) and len(size) == 2 and all(_is_whole(side, *SIZE_RANGE) for side in size),
+        f"image_size: expected two whole numbers from {SIZE_RANGE[0]} to {SIZE_RANGE[1]}",
     )
+    _require(_is_whole(known["epochs"], 1, MAX_EPOCHS), f"epochs: expected 1 to {MAX_EPOCHS}")
+    _require(_is_whole(known["seed"], 0, MAX_SEED), f"seed: expected 0 to {MAX_SEED}")
+    for name in ("train_fingerprint", "first_stage"):
+        _require(_is_text(known[name]), f"{name}: expected text of up to {_MAX_TEXT} characters")
+    _require(
+        isinstance(rows, list) and len(rows) <= known["epochs"], f"rows: expected a list of up to {known['epochs']}"
+    )
+    for epoch, row in enumerate(rows, 1):
+        _require(_is_row(row, epoch), f"rows: expected figures by their names, in a row for each epoch; not in {epoch}")
+    _require(
+        isinstance(software, dict) and len(software) <= _MAX_TEXTS and all(map(_is_text, software.values())),
+        "software: expected texts by their names",
+    )
+    return TrainingRecord(
+        name=known["name"],
+        recipe=recipe_from_toml(metadata["recipe"], source),
+        object=known["object"],
+        image_size=(size[0], size[1]),
+        train_fingerprint=known["train_fingerprint"],
+        epochs=known["epochs"],
+        seed=known["seed"],
+        first_stage=known["first_stage"],
+        rows=tuple({name: float(value) for name, value in row.items()} for row in rows),
+        software=software,
+    )
+
+
+def _require(is_right: bool, expected: str) -> None:  # noqa: FBT001 - a condition, and what to say where it is not met
+    if not is_right:
+        raise ValueError(expected)
+
+
+def _is_whole(value: Any, least: int, most: int) -> bool:
+    return type(value) is int and least <= value <= most
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and len(value) <= _MAX_TEXT
+
+
+def _is_row(row: Any, epoch: int) -> bool:
+    """Tell whether this is an epoch's row: figures, of which those that every epoch has are finite."""
+    if not isinstance(row, dict) or len(row) > _MAX_TEXTS or not all(map(_is_text, row)):
+        return False
+    if not all(
+        type(value) in (int, float) and not abs(value) > _LARGEST_FIGURE for value in row.values()
+    ):  # NaN may be
+        return False
+    return row.get("epoch") == epoch and all(math.isfinite(row.get(name, math.nan)) for name in _ALWAYS)

@@ -1,19 +1,21 @@
 """Methods side by side: their scores, and paired bootstrap differences from the first."""
 
+import os
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from symsol_annot.bench.averages import difference
 from symsol_annot.bench.metric_table import METRICS, Place, metrics_shown
-from symsol_annot.bench.report import STRATA, aligned, short
+from symsol_annot.bench.report import STRATA, aligned, remarks, short
 from symsol_annot.bench.scores_file import per_image_table, read_scores, strata_of
 from symsol_annot.errors import ScoresError
 
+AnyPath: TypeAlias = str | os.PathLike[str]
 
-def compare(paths: Sequence[Path]) -> str:
+
+def compare(paths: Sequence[AnyPath]) -> str:
     """Return tables of the scores files side by side, object by object and track by track.
 
     Raises:
@@ -37,7 +39,7 @@ def compare(paths: Sequence[Path]) -> str:
     return "\n\n".join(tables)
 
 
-def _refuse_other_images(name: str, a: dict[str, Any], a_path: Path, b: dict[str, Any], b_path: Path) -> None:
+def _refuse_other_images(name: str, a: dict[str, Any], a_path: AnyPath, b: dict[str, Any], b_path: AnyPath) -> None:
     for what in ("split", "fingerprint", "images"):
         if a[what] != b[what]:
             raise ScoresError(
@@ -78,7 +80,7 @@ def _compare_track(name: str, track: str, sides: list[tuple[str, dict[str, Any]]
             rows.append([metric.label, *cells])
         lines += ["", *aligned(rows)]
     for method, entry in sides:
-        lines += [f"WARNING, {method}: {warning}" for warning in entry[track]["warnings"]]
+        lines += remarks(entry[track], f", {method}")
     return "\n".join(lines)
 
 

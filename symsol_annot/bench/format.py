@@ -16,6 +16,13 @@ FILE_ATTRIBUTES: dict[str, type] = {
 GRID_ATTRIBUTES: dict[str, type] = {"grid_level": int, "grid_sha256": str}
 CLASSIFIER_ATTRIBUTES: dict[str, type] = {**GRID_ATTRIBUTES, "group_sha256": str, "floor": float}
 
+DENSITY_FLOOR = "density_floor"  # optional: what the writer counts any smaller probability of a cell as
+TRACK_ATTRIBUTES: dict[str, dict[str, type]] = {  # those that a writer may give
+    "hypotheses": {},
+    "classifier": CLASSIFIER_ATTRIBUTES,
+    "density": {**GRID_ATTRIBUTES, DENSITY_FLOOR: float},
+}
+
 IMAGE_INDEX = "image_index"
 TRACKS = {
     "hypotheses": ("hypotheses", "hypothesis_weights"),
@@ -27,7 +34,8 @@ REALS, INTEGERS = ("<f4", "<f8"), ("<i4", "<i8", "<u4")
 MAX_HYPOTHESES = 10_000
 MAX_GRID_LEVEL = 5
 STANDARD_THRESHOLD = 0.8  # of a probability, T of eq. 7.4
-ROTATION_TOLERANCE = {"<f4": 1e-5, "<f8": 1e-6}  # of R^T R = I and of det R = 1
+# Of R^T R = I and of det R = 1: columns made orthonormal in float32 are off by 6e-8 over the sine of their first angle.
+ROTATION_TOLERANCE = {"<f4": 1e-4, "<f8": 1e-4}
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}  # by HDF5's numbers: those that every build has
 MAX_CHUNK_BYTES = 2**28
 _SHOWN_CHARACTERS = 100  # of a stranger's value in a message

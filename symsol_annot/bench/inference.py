@@ -1,5 +1,6 @@
 """From a trained model to a predictions file, in float32 on any device."""
 
+import hashlib
 from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
@@ -8,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
+import symsol_annot
 from symsol_annot.bench.checkpoints import Checkpoint
 from symsol_annot.bench.devices import full_precision, largest_that_fits
 from symsol_annot.bench.learners import all_hypotheses, embedded, probabilities
 from symsol_annot.bench.models import HypothesisNetwork, RotationClassifier
+from symsol_annot.bench.recipe import recipe_to_toml
 from symsol_annot.bench.submission import write_classifier, write_hypotheses
 from symsol_annot.bench.training_data import decoded
 from symsol_annot.dataset import Dataset
@@ -34,7 +36,7 @@ def predict(
     method: str | None = None,
     level: int = STANDARD_LEVEL,
 ) -> str:
-    """Write a model's predictions about a split; a classifier's may be stopped and gone on with.
+    """Write a model's predictions about a split; where that was stopped, the same model goes on with what is left.
 
     Args:
         checkpoint: of the model.
@@ -50,28 +52,47 @@ def predict(
     Raises:
         ModelError: the model was trained on another object or size of image, or the device has too little memory.
         NotAnnotatedError: the split has no symmetry sets.
-        PredictionsError: the file is there and about something else.
-        OutputError: it cannot be written.
+        PredictionsError: the file is there and about something else, or another model's answers are kept beside it.
+        OutputError: another process writes it, or it cannot be written.
     """
     checkpoint.refuse_other_images(dataset)
-    by, model = method or checkpoint.record.name, checkpoint.model.to(device)
+    by, who, model = method or checkpoint.record.name, identity(checkpoint), checkpoint.model.to(device)
     with full_precision():
         if isinstance(model, HypothesisNetwork):
-            write_hypotheses(path, dataset, _all_hypotheses(model, dataset), method=by)
+            write_hypotheses(path, dataset, _hypotheses_of(model, dataset), method=by, resume=who)
             return "hypotheses"
         classify = _asked_about(model, dataset, device)
-        write_classifier(path, dataset, classify, method=by, level=level, batch_size=grid_size(level))
+        write_classifier(path, dataset, classify, method=by, level=level, batch_size=grid_size(level), resume=who)
         return "classifier"
 
 
-def _all_hypotheses(model: HypothesisNetwork, dataset: Dataset) -> npt.NDArray[np.float32]:
-    parts = []
-    with tqdm(total=len(dataset), unit="image", disable=None) as bar:
-        for start in range(0, len(dataset), _BLOCK):
-            images = decoded(dataset[start : start + _BLOCK]).images
-            parts.append(_as_memory_allows(partial(all_hypotheses, model, images)))
-            bar.update(len(images))
-    return np.concatenate(parts)
+def identity(checkpoint: Checkpoint) -> str:
+    """Name a model by what decides its answers: weights, recipe, and the version of the program that asks it.
+
+    The device does not, nor does torch's version: all compute in float32, and differ by its rounding. The checkpoint's
+    path and the epochs that follow it do not either.
+
+    Returns:
+        A line for people to read, equal for equal models alone (by SHA-256).
+    """
+    record, digest = checkpoint.record, hashlib.sha256()
+    digest.update(recipe_to_toml(record.recipe).encode())
+    for name, tensor in sorted(checkpoint.model.state_dict().items()):
+        digest.update(f"\0{name} {tensor.dtype} {tuple(tensor.shape)}\0".encode())
+        digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    done = f"{record.epochs_done} of {record.epochs} epochs"
+    return f"{record.name} after {done}, SHA-256 {digest.hexdigest()}, by symsol-annot {symsol_annot.__version__}"
+
+
+def _hypotheses_of(model: HypothesisNetwork, dataset: Dataset) -> Callable[[int], npt.NDArray[np.float32]]:
+    """Return a callable from an image's index to its hypotheses (M, 3, 3); it is quick for one image after another."""
+
+    @lru_cache(maxsize=1)
+    def of_block(block: int) -> npt.NDArray[np.float32]:
+        images = decoded(dataset[block * _BLOCK : (block + 1) * _BLOCK]).images
+        return _as_memory_allows(partial(all_hypotheses, model, images))
+
+    return lambda i: of_block(i // _BLOCK)[i % _BLOCK]
 
 
 def _asked_about(

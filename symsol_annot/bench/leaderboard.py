@@ -4,6 +4,7 @@
     SET/set.toml            an image set: what makes it, and the fingerprints of its splits
     SET/NAME.toml           a result: who, how, on what
     SET/NAME.json           its scores, as `score --json` wrote them
+    SET/reference/ROW.json  scores of a reference row, as `reference` wrote them; shown beside results, not ranked
 
 A result is held against its set, and its figures against those of its images. Strangers send these files in: names,
 numbers and shapes are checked here, words are escaped by who shows them.
@@ -11,6 +12,7 @@ numbers and shapes are checked here, words are escaped by who shows them.
 
 import datetime as dt
 import math
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -25,6 +27,8 @@ from symsol_annot.bench.scores_file import figures_that_differ, read_scores
 from symsol_annot.bench.structure import shown
 from symsol_annot.bench.tables import from_table
 from symsol_annot.errors import ScoresError, bulleted, count_of
+from symsol_annot.names import OBJECT_NAME_RULE, SPLITS, is_object_name, is_split
+from symsol_annot.reading import read_text
 
 
 class _Checked(Protocol):
@@ -41,6 +45,9 @@ _SHOWN = 5  # differences of one object
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _NAME = re.compile(r"[A-Za-z0-9._-]+")  # as it stands in links and headings
 _NAME_RULE = "a name has letters, digits, '.', '_' and '-' alone"
+REFERENCE = "reference"
+_MAX_BYTES = 2**18  # of a TOML file; the thesis's tables have 10 kB
+_SHOWN_FAULTS = 20  # of one file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +74,9 @@ class ImageSet:
         """Say what is wrong with it."""
         if self.images < 1:
             yield f"images: expected 1 or more, found {self.images}"
-        yield from (f"split: {fault}" for fault in _faults_of_names([self.split]))
-        yield from (f"fingerprints: {fault}" for fault in _faults_of_names(self.fingerprints))
+        if not is_split(self.split):
+            yield f"split: expected one of {', '.join(SPLITS)}, found {shown(self.split)}"
+        yield from (f"fingerprints: {fault}" for fault in _faults_of_objects(self.fingerprints))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +113,7 @@ class Run:
         by: who sends it in.
         date: of the scores.
         hardware: what the models were trained on.
-        commands: from the set to the scores.
+        commands: from the set to the scores; none where `code` says how the predictions were made.
         recipe: of this package, if it was trained by one.
         code: where the method's code is, or what it is described in.
         notes: more in words.
@@ -116,7 +124,7 @@ class Run:
     by: str
     date: dt.date
     hardware: str
-    commands: tuple[str, ...]
+    commands: tuple[str, ...] = ()
     recipe: str = ""
     code: str = ""
     notes: str = ""
@@ -127,10 +135,10 @@ class Run:
         for name in ("title", "by", "hardware"):
             if not getattr(self, name).strip():
                 yield f"{name}: is empty"
-        if not self.commands and not self.code:
+        if not any(text.strip() for text in (*self.commands, self.code)):
             yield "commands, code: one of them has to say how the predictions were made"
         if self.recipe and self.recipe not in builtin_recipes():
-            yield f"recipe: there is no {self.recipe!r} built in; leave it out"
+            yield f"recipe: there is no {shown(self.recipe)} built in; leave it out"
         for name, training in self.objects.items():
             yield from (f"objects.{name}.{fault}" for fault in training.faults())
 
@@ -150,6 +158,21 @@ class Result:
     scores: Mapping[str, Mapping[str, Any]]
 
 
+@dataclass(frozen=True)
+class Reference:
+    """A reference row on one set: of a method that knows the answer, half of it, or nothing.
+
+    Attributes:
+        name: of its file.
+        method: what it is.
+        scores: object to what scores.json says of it.
+    """
+
+    name: str
+    method: str
+    scores: Mapping[str, Mapping[str, Any]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class ThesisTable:
     """A table of the thesis.
@@ -157,7 +180,7 @@ class ThesisTable:
     Attributes:
         track, metric: the same in scores.json.
         objects: its columns.
-        rows: recipe to a value an object; NaN where the thesis has none.
+        rows: recipe to a value per object; NaN where the thesis has none.
     """
 
     track: str
@@ -169,15 +192,17 @@ class ThesisTable:
         """Say what is wrong with it."""
         metrics = {track: [metric.name for metric in metrics_shown(track, Place.LEADERBOARD)] for track in METRICS}
         if self.track not in metrics:
-            yield f"track: expected one of {', '.join(metrics)}, found {self.track!r}"
+            yield f"track: expected one of {', '.join(metrics)}, found {shown(self.track)}"
         elif self.metric not in metrics[self.track]:
-            yield f"metric: expected one of {', '.join(metrics[self.track])}, found {self.metric!r}"
-        yield from (f"objects: {fault}" for fault in _faults_of_names(self.objects))
+            yield f"metric: expected one of {', '.join(metrics[self.track])}, found {shown(self.metric)}"
+        yield from (f"objects: {fault}" for fault in _faults_of_objects(self.objects))
         for recipe, values in self.rows.items():
             if recipe not in builtin_recipes():
-                yield f"rows: there is no recipe {recipe!r} built in"
-            if len(values) != len(self.objects):
-                yield f"rows.{recipe}: expected a number an object, {len(self.objects)}, found {len(values)}"
+                yield f"rows: there is no recipe {shown(recipe)} built in"
+            elif len(values) != len(self.objects):
+                yield f"rows.{recipe}: expected a number per object, {len(self.objects)}, found {len(values)}"
+            elif any(math.isinf(value) for value in values):
+                yield f"rows.{recipe}: expected finite numbers, or nan where the thesis has none"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +223,7 @@ class Thesis:
         """Say what is wrong with it."""
         for recipe, name in self.small.items():
             if name not in builtin_recipes():
-                yield f"small.{recipe}: there is no recipe {name!r} built in"
+                yield f"small.{recipe}: there is no recipe {shown(name)} built in"
         for title, table in self.tables.items():
             yield from (f"tables.{title}.{fault}" for fault in table.faults())
 
@@ -210,60 +235,88 @@ class Leaderboard:
     Attributes:
         sets: folder to image set.
         results: folder to the results on that set, by name.
+        references: folder to the reference rows on that set, by name.
         thesis: its own numbers.
     """
 
     sets: Mapping[str, ImageSet]
     results: Mapping[str, tuple[Result, ...]]
+    references: Mapping[str, tuple[Reference, ...]]
     thesis: Thesis
 
 
-def read_leaderboard(folder: Path) -> Leaderboard:
+def read_leaderboard(folder: str | os.PathLike[str]) -> Leaderboard:
     """Read and check a leaderboard's folder.
 
     Raises:
         ScoresError: a file is missing, malformed or about other images, or a result does not rank; all faults at once.
     """
+    folder = Path(folder)
     if not (folder / THESIS).is_file():
         raise ScoresError(f"{folder}: is no leaderboard's folder: it has no {THESIS}")
     thesis, faults = _read(folder / THESIS, Thesis, "the thesis's numbers")
     sets: dict[str, ImageSet] = {}
     results: dict[str, tuple[Result, ...]] = {}
-    for place in sorted(path for path in folder.iterdir() if path.is_dir()):
+    references: dict[str, tuple[Reference, ...]] = {}
+    for place in _folders(folder):
         faults += [f"{folder}: {fault}" for fault in _faults_of_names([place.name])]
         image_set, found = _read(place / SET, ImageSet, "an image set")
         faults += found
         if image_set is not None:
             sets[place.name] = image_set
-            results[place.name], found = _results(place, image_set)
-            faults += found
+            results[place.name], of_results = _results(place, image_set)
+            references[place.name], of_references = _references(place, image_set)
+            faults += of_results + of_references
     faults += _doubled(results)
     if faults or thesis is None:
         raise ScoresError(f"{folder}: the leaderboard has {count_of(faults)}:\n" + bulleted(faults))
-    return Leaderboard(sets, results, thesis)
+    return Leaderboard(sets, results, references, thesis)
 
 
 def _faults_of_names(names: Iterable[str]) -> Iterator[str]:
-    """Say which names cannot stand on a page as they are."""
+    """Say which names of files cannot stand on a page as they are."""
     yield from (f"{shown(name)}: {_NAME_RULE}" for name in names if not _NAME.fullmatch(name))
+
+
+def _faults_of_objects(names: Iterable[str]) -> Iterator[str]:
+    """Say which names are no object's."""
+    yield from (f"{shown(name)}: an object's name has {OBJECT_NAME_RULE}" for name in names if not is_object_name(name))
+
+
+def _folders(folder: Path) -> list[Path]:
+    """Return the folders in one, by name; what begins with a dot is the system's."""
+    try:
+        return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    except OSError as error:
+        raise ScoresError(f"{folder}: cannot be read: {error.strerror}") from None
+
+
+def _names_in(folder: Path, endings: set[str]) -> list[str]:
+    """Return the names of the files in a folder that have one of the endings, without it."""
+    try:
+        found = {p.stem for p in folder.iterdir() if p.suffix in endings and not p.name.startswith(".")}
+    except OSError as error:
+        raise ScoresError(f"{folder}: cannot be read: {error.strerror}") from None
+    return sorted(found)
 
 
 def _read(path: Path, kind: type[T], what: str) -> tuple[T | None, list[str]]:
     """Return a TOML file as a dataclass, or None, and its faults with the file's name."""
-    if path.exists() and not path.is_file():
-        return None, [f"{path}: cannot be read: it is no regular file"]
     try:
-        made, faults = from_table(kind, tomllib.loads(path.read_text(encoding="utf-8")), what)
-    except (OSError, ValueError, RecursionError) as error:  # RecursionError: lists in lists in lists
+        made, faults = from_table(kind, tomllib.loads(read_text(path, _MAX_BYTES)), what)
+    except OSError as error:
+        return None, [f"{path}: cannot be read: {error.strerror or error}"]
+    except (ValueError, RecursionError) as error:  # RecursionError: lists in lists in lists
         return None, [f"{path}: cannot be read: {error}"]
     if made is not None:
         faults += made.faults()
-    return made, [f"{path}: {fault}" for fault in faults]
+    more = [f"{len(faults) - _SHOWN_FAULTS} faults more"] if len(faults) > _SHOWN_FAULTS else []
+    return made, [f"{path}: {fault}" for fault in [*faults[:_SHOWN_FAULTS], *more]]
 
 
 def _results(place: Path, image_set: ImageSet) -> tuple[tuple[Result, ...], list[str]]:
     """Return the results on a set, and the faults of their files."""
-    names = sorted({path.stem for path in place.iterdir() if path.suffix in {".toml", ".json"} and path.name != SET})
+    names = [name for name in _names_in(place, {".toml", ".json"}) if f"{name}.toml" != SET]
     results, faults = [], [f"{place}: {fault}" for fault in _faults_of_names(names)]
     for name in names:
         run, found = _read(place / f"{name}.toml", Run, "a result")
@@ -273,28 +326,54 @@ def _results(place: Path, image_set: ImageSet) -> tuple[tuple[Result, ...], list
             found.append(str(error))
             scores = {}
         if run is not None and scores:
-            found += [f"{place / name}.json: {fault}" for fault in _faults_of_scores(scores, image_set)]
-            found += [f"{place / name}.toml: {fault}" for fault in _faults_of_objects(run, scores["objects"])]
+            of_scores = [*_faults_of_ranks(scores), *_faults_of_scores(scores, image_set)]
+            found += [f"{place / name}.json: {fault}" for fault in of_scores]
+            found += [f"{place / name}.toml: {fault}" for fault in _faults_of_run(run, scores["objects"])]
             results.append(Result(name, run, scores["objects"]))
         faults += found
     return tuple(results), faults
 
 
-def _faults_of_scores(scores: Mapping[str, Any], image_set: ImageSet) -> Iterator[str]:
-    """Say why scores do not rank, or are of other images, or do not follow from their images' figures."""
+def _references(place: Path, image_set: ImageSet) -> tuple[tuple[Reference, ...], list[str]]:
+    """Return the reference rows on a set, and the faults of their files."""
+    folder = place / REFERENCE
+    if not folder.is_dir():
+        return (), []
+    names = _names_in(folder, {".json"})
+    rows, faults = [], [f"{folder}: {fault}" for fault in _faults_of_names(names)]
+    for name in names:
+        try:
+            scores = read_scores(folder / f"{name}.json")
+        except ScoresError as error:
+            faults.append(str(error))
+            continue
+        faults += [f"{folder / name}.json: {fault}" for fault in _faults_of_scores(scores, image_set)]
+        rows.append(Reference(name, scores["method"], scores["objects"]))
+    return tuple(rows), faults
+
+
+def _faults_of_ranks(scores: Mapping[str, Any]) -> Iterator[str]:
+    """Say why scores do not rank."""
     if scores.get("ranks") is not True:
         yield "'ranks' is not true: `score` warned of something, so it does not rank"
+    for name, entry in scores["objects"].items():
+        tracks = [track for track in METRICS if track in entry]
+        yield from (f"objects.{name}.{track}.warnings: does not rank" for track in tracks if entry[track]["warnings"])
+
+
+def _faults_of_scores(scores: Mapping[str, Any], image_set: ImageSet) -> Iterator[str]:
+    """Say why scores are of other images, or do not follow from their images' figures."""
     for name, entry in scores["objects"].items():
         wanted = {"split": image_set.split, "images": image_set.images, "fingerprint": image_set.fingerprints.get(name)}
         for what, expected in wanted.items():
             if entry[what] != expected:
-                yield f"objects.{name}.{what}: expected {expected}, found {entry[what]!r}: it is about other images"
+                found = shown(entry[what])
+                yield f"objects.{name}.{what}: expected {expected}, found {found}: it is about other images"
         if not _sha256_of(entry):
             yield f"objects.{name}.predictions.sha256: is no SHA-256"
         tracks = [track for track in METRICS if track in entry]
         if not tracks:
             yield f"objects.{name}: has no track"
-        yield from (f"objects.{name}.{track}.warnings: does not rank" for track in tracks if entry[track]["warnings"])
         yield from (f"objects.{name}.per_image.{metric}: is missing" for metric in _missing(entry, tracks))
         yield from (f"objects.{name}.{difference}" for difference in islice(figures_that_differ(entry), _SHOWN))
 
@@ -306,9 +385,10 @@ def _missing(entry: Mapping[str, Any], tracks: Iterable[str]) -> Iterator[str]:
         yield from (f"{track}.{name}" for name in names if name not in entry["per_image"][track])
 
 
-def _faults_of_objects(run: Run, scores: Mapping[str, Any]) -> Iterator[str]:
+def _faults_of_run(run: Run, scores: Mapping[str, Any]) -> Iterator[str]:
     if set(run.objects) != set(scores):
-        yield f"objects: expected those of the scores, {', '.join(scores)}, found {', '.join(run.objects) or 'none'}"
+        found = ", ".join(name if is_object_name(name) else shown(name) for name in run.objects) or "none"
+        yield f"objects: expected those of the scores, {', '.join(scores)}, found {found}"
 
 
 def _doubled(results: Mapping[str, tuple[Result, ...]]) -> Iterator[str]:

@@ -8,6 +8,8 @@ from enum import IntEnum
 
 HIGHER, LOWER, NEITHER = "higher", "lower", ""  # is better
 ANGLES_DEG = (1, 2, 5, 10, 15, 30)
+RANKED_ANGLE_DEG = 5
+F_UNWEIGHTED = f"f_measure_unweighted_at_{RANKED_ANGLE_DEG}_deg"
 SWEPT_THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 _ARROWS = {HIGHER: " ↑", LOWER: " ↓", NEITHER: ""}
 
@@ -61,6 +63,7 @@ METRICS = {
         Metric("precision_mean_error_continuous_rad", LOWER, Place.TABLES, "to the arcs, rad", is_detail=True),
         Metric("accuracy_at_5_deg", HIGHER, Place.SUMMARY, "accuracy at 5 deg"),
         Metric("f_measure_at_5_deg", HIGHER, Place.LEADERBOARD, "F-measure at 5 deg"),
+        Metric(F_UNWEIGHTED, HIGHER, Place.TABLES, "all hypotheses alike", is_detail=True),  # of files with weights
         *(Metric(f"coverage_at_{t}_deg", HIGHER, Place.FILE, is_pooled=True) for t in ANGLES_DEG if t != 5),
         *(Metric(f"coverage_image_mean_at_{t}_deg", HIGHER, Place.FILE) for t in ANGLES_DEG),
         *(Metric(f"accuracy_at_{t}_deg", HIGHER, Place.FILE) for t in ANGLES_DEG if t != 5),

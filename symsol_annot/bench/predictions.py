@@ -1,13 +1,13 @@
 """A predictions file: opened, checked against the truth that it is about, and its tracks."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from symsol_annot.bench.faults import FaultLog
 from symsol_annot.bench.format import FILE_ATTRIBUTES, PREDICTIONS_FORMAT, TRACKS
-from symsol_annot.bench.sandbox import SandboxedFile
+from symsol_annot.bench.mends import mend_of_file
 from symsol_annot.bench.structure import Structure, shown
 from symsol_annot.bench.tracks import (
     ClassifierBlock,
@@ -19,10 +19,10 @@ from symsol_annot.bench.tracks import (
     Track,
 )
 from symsol_annot.bench.truth import Truth, read_truth
-from symsol_annot.errors import PredictionsError
-from symsol_annot.manifest import SPLITS
-
-MAX_NAME = 200  # characters of a method's or an object's name
+from symsol_annot.errors import DataError, PredictionsError
+from symsol_annot.names import METHOD_NAME_RULE, OBJECT_NAME_RULE, SPLITS, is_method_name, is_object_name, is_split
+from symsol_annot.sandbox import SandboxedFile
+from symsol_annot.set_folders import set_folders
 
 _TRACKS: dict[str, type[HypothesesTrack | ClassifierTrack | DensityTrack]] = {
     track.name: track for track in (HypothesesTrack, ClassifierTrack, DensityTrack)
@@ -44,9 +44,8 @@ class Predictions:
         structure = Structure(file, truth, self.faults)
         structure.has_attributes(FILE_ATTRIBUTES, "the file")
         self.method = str(file.attributes.get("method", ""))
-        if not self.method.isprintable() or len(self.method) > MAX_NAME:
-            fault = f"expected at most {MAX_NAME} printable characters, found {shown(self.method)}"
-            self.faults.add("the file", f"attribute 'method': {fault}")
+        if "method" in file.attributes and not is_method_name(self.method):
+            self.faults.add("the file", f"attribute 'method': expected {METHOD_NAME_RULE}, found {shown(self.method)}")
         self._image_index = structure.image_index
         there = [name for name, datasets in TRACKS.items() if any(structure.has(dataset) for dataset in datasets)]
         if not there:
@@ -83,7 +82,7 @@ class Predictions:
 
 
 @contextmanager
-def open_predictions(path: Path, data: Path) -> Iterator[Predictions]:
+def open_predictions(path: str | os.PathLike[str], data: str | os.PathLike[str]) -> Iterator[Predictions]:
     """Open a predictions file and the truth that it says it is about.
 
     Args:
@@ -94,27 +93,31 @@ def open_predictions(path: Path, data: Path) -> Iterator[Predictions]:
         PredictionsError: it is no predictions file.
         DataError: the set that it is about is not there or damaged.
     """
-    with SandboxedFile(path) as file:
+    if found := mend_of_file(Path(path), _some_set(Path(data))):
+        raise PredictionsError(str(path), [found])
+    with SandboxedFile(Path(path)) as file:
         yield Predictions(file, read_truth(data, *_subject(file)))
 
 
-def _subject(file: SandboxedFile) -> tuple[str, str]:
-    """Return the object and the split that a file says it is about."""
+def _some_set(data: Path) -> str:
+    """Return the folder of a set under `data`, for code to copy: the only one, or one to be filled in."""
+    try:
+        (only,) = set_folders(data)
+    except (DataError, ValueError):
+        return (data / "OBJECT").as_posix()
+    return only.as_posix()
+
+
+def _subject(file: SandboxedFile) -> tuple[str, str, str]:
+    """Return the object, the split and the fingerprint that a file says it is about."""
     found = file.attributes
-    name, split = found.get("object"), found.get("split")
+    name, split, fingerprint = found.get("object"), found.get("split"), found.get("fingerprint")
     if found.get("format") != PREDICTIONS_FORMAT:
         fault = f"attribute 'format': expected {PREDICTIONS_FORMAT!r}, found {shown(found.get('format'))}"
-    elif not _is_name(name):
-        fault = f"attribute 'object': expected the name of an object, found {shown(name)}"
-    elif split not in SPLITS:
+    elif not is_object_name(name):
+        fault = f"attribute 'object': expected the name of an object, found {shown(name)}: {OBJECT_NAME_RULE}"
+    elif not is_split(split):
         fault = f"attribute 'split': expected one of {', '.join(SPLITS)}, found {shown(split)}"
     else:
-        return str(name), str(split)
+        return str(name), str(split), fingerprint if isinstance(fingerprint, str) else ""
     raise PredictionsError(str(file.path), [f"the file: {fault}"])
-
-
-def _is_name(name: Any) -> bool:
-    """Tell whether this can be the name of an object, and so of its set's folder."""
-    if not isinstance(name, str) or not name.isprintable() or len(name.encode()) > MAX_NAME:
-        return False
-    return bool(name.strip(". ")) and not set(name) & set("/\\")

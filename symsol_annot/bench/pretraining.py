@@ -1,9 +1,10 @@
 """Which hypothesis network a classifier's first stage begins with (sections 6.3.3 and 7.4.1)."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from symsol_annot.bench.checkpoints import WEIGHTS, TrainingRecord, read_record
+from symsol_annot.bench.checkpoints import WEIGHTS, TrainingRecord, read_record, weights_file
 from symsol_annot.bench.recipe import HypothesisRecipe
 from symsol_annot.errors import WeightsError
 
@@ -44,13 +45,13 @@ def best_network(paths: Sequence[Path], like: TrainingRecord, by: str) -> Path:
             f"the recipe begins with a hypothesis network trained on {like.object}, and there is none; train one "
             "(`symsol-annot train wta-von-mises`, for 64x64 images `small-wta`), or name its folder with --pretrained"
         )
-    files = [path / WEIGHTS if path.is_dir() else path for path in paths]
+    files = [weights_file(path) for path in paths]
     errors = {}
     for file in files:
         record = read_record(file)
         _refuse_other(file, record, like)
         last = record.rows[-1] if record.rows else {}
-        missing = [name for name in _ERRORS[by] if name not in last]
+        missing = [name for name in _ERRORS[by] if math.isnan(last.get(name, math.nan))]
         if missing and len(files) > 1:
             raise WeightsError(
                 f"{file}: was trained without validation images, so that it has no {missing[0]} to choose by; "

@@ -6,7 +6,6 @@ and for single objects; `RecipeFile.for_object` gives what is left for one objec
 
 import json
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from importlib import resources
@@ -16,6 +15,9 @@ from typing import Any, Literal, TypeAlias
 from symsol_annot.bench.format import MAX_GRID_LEVEL, MAX_HYPOTHESES
 from symsol_annot.bench.tables import from_table
 from symsol_annot.errors import SettingsError, bulleted, count_of
+from symsol_annot.names import METHOD_NAME_RULE, OBJECT_NAME_RULE, is_method_name, is_object_name
+from symsol_annot.reading import read_text
+from symsol_annot.toml import MAX_TOML_BYTES, TITLE_RULE, is_title, parse_toml, shown
 
 MetaLoss = Literal["wta", "rwta", "ewta"]
 EmbeddedLoss = Literal["cyclic-cosine", "von-mises", "geodesic"]
@@ -24,7 +26,10 @@ BackboneStart = Literal["imagenet", "random"]
 FirstStageStart = Literal["imagenet", "random", "best-recall", "best-precision"]
 
 _MARKED, _OBJECTS = "marked", "objects"
-_MAX_EPOCHS, _MAX_BATCH_SIZE, _MAX_NEGATIVES, _MAX_FREQUENCIES = 100_000, 2**16, 2**20, 16
+MAX_EPOCHS = 10_000  # a checkpoint's header holds the figures of each
+_MAX_BATCH_SIZE, _MAX_NEGATIVES, _MAX_FREQUENCIES = 2**16, 2**20, 16
+_MAX_RATES, _MAX_OBJECTS, _MAX_KEYS = 64, 256, 64
+_MAX_VALIDATION_IMAGES, _MAX_CONCENTRATION = 10_000_000, 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +39,7 @@ class _Training:
     Attributes:
         title: the row of the thesis's tables, in words.
         epochs: how many.
-        batch_size: images a step; an epoch's last images, if fewer, are left out of it.
+        batch_size: images per step; an epoch's last images, if fewer, are left out of it.
         learning_rates: Adam's learning rates, one after another.
         milestones: after how many epochs each but the first begins.
         validation_images: how many images, the last of the train split, are evaluated after each epoch, not learnt.
@@ -49,18 +54,25 @@ class _Training:
 
     def faults(self) -> Iterator[str]:
         """Say what makes no sense."""
+        if not is_title(self.title):
+            yield f"title: expected {TITLE_RULE}, found {shown(self.title)}"
         yield from _outside(
-            self, epochs=(1, _MAX_EPOCHS), batch_size=(2, _MAX_BATCH_SIZE), validation_images=(0, math.inf)
+            self,
+            epochs=(1, MAX_EPOCHS),
+            batch_size=(2, _MAX_BATCH_SIZE),
+            validation_images=(0, _MAX_VALIDATION_IMAGES),
         )
+        if len(self.learning_rates) > _MAX_RATES:
+            yield f"learning_rates: expected at most {_MAX_RATES}, found {len(self.learning_rates)}"
         if len(self.learning_rates) != len(self.milestones) + 1:
             drops, rates = len(self.milestones), len(self.learning_rates)
             yield f"learning_rates: expected one more than milestones, which are {drops}, found {rates}"
         if not all(0.0 < rate < math.inf for rate in self.learning_rates):
-            yield f"learning_rates: expected numbers above 0, found {list(self.learning_rates)}"
+            yield f"learning_rates: expected numbers above 0, found {shown(list(self.learning_rates))}"
         if sorted(set(self.milestones)) != list(self.milestones):
-            yield f"milestones: expected ascending epochs, found {list(self.milestones)}"
+            yield f"milestones: expected ascending epochs, found {shown(list(self.milestones))}"
         if any(not 0 < epoch < self.epochs for epoch in self.milestones):
-            yield f"milestones: expected epochs from 1 to {self.epochs - 1}, found {list(self.milestones)}"
+            yield f"milestones: expected epochs from 1 to {self.epochs - 1}, found {shown(list(self.milestones))}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,8 +125,8 @@ class HypothesisRecipe(_Training):
         annealed = (self.concentration_at_first, self.epochs_to_concentration)
         for name in ("concentration", "concentration_at_first"):
             value = getattr(self, name)
-            if value is not None and not 0.0 < value < math.inf:
-                yield f"{name}: expected a number above 0, found {value}"
+            if value is not None and not 0.0 < value <= _MAX_CONCENTRATION:
+                yield f"{name}: expected a number above 0, up to {_MAX_CONCENTRATION:,.0f}, found {value}"
         if (annealed[0] is None) != (annealed[1] is None):
             yield "concentration_at_first, epochs_to_concentration: expected both or neither"
         if annealed[1] is not None and not 0 < annealed[1] <= self.epochs:
@@ -166,7 +178,7 @@ class RecipeFile:
     """A recipe as written: keys for all objects, and what replaces them for some.
 
     Attributes:
-        name: of the file, without its suffix.
+        name: of the file, without its suffix; also what the method is called, unless it is told otherwise.
         base, marked, objects: tables of keys.
     """
 
@@ -206,14 +218,17 @@ def load_recipe(name_or_path: str) -> RecipeFile:
         return parse_recipe(source.read_text(encoding="utf-8"), name_or_path)
     path = Path(name_or_path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, MAX_TOML_BYTES)
     except FileNotFoundError:
         raise SettingsError(
             f"{path}: there is no such file, and no built-in recipe of that name; built in are "
             f"{', '.join(builtin_recipes())}"
         ) from None
-    except (OSError, UnicodeError) as error:
-        raise SettingsError(f"{path}: the recipe cannot be read: {error}") from None
+    except (OSError, ValueError) as error:  # no UTF-8, or no path
+        reason = getattr(error, "strerror", None) or error
+        raise SettingsError(f"{path}: the recipe cannot be read: {reason}") from None
+    if not is_method_name(_name_of(path)):
+        raise SettingsError(f"{path}: expected a file whose name, less .toml, is {METHOD_NAME_RULE}; rename it")
     return parse_recipe(text, str(path))
 
 
@@ -224,31 +239,27 @@ def parse_recipe(text: str, source: str) -> RecipeFile:
         SettingsError: it is no TOML, or has faults for some object; the message lists all.
     """
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # no TOML, numbers of thousands of digits, or nested as deep
+        table = parse_toml(text)
+    except ValueError as error:
         raise SettingsError(f"{source}: is no TOML: {error}") from None
     marked, objects = table.pop(_MARKED, {}), table.pop(_OBJECTS, {})
-    groups = {_MARKED: marked, _OBJECTS: objects}
-    groups |= {f"{_OBJECTS}.{name}": keys for name, keys in objects.items()} if isinstance(objects, dict) else {}
-    strange = [
-        f"{name}: expected a table of keys, found {keys!r}"
-        for name, keys in groups.items()
-        if not isinstance(keys, dict)
-    ]
+    strange = list(_strange_groups(table, marked, objects))
     if strange:
         raise _refusal(source, strange)
     faults = _recipe_of(table)[1]
     faults += [fault for fault in _faults_of_replaced(table, marked, objects) if fault.partition(": ")[2] not in faults]
     if faults:
         raise _refusal(source, faults)
-    return RecipeFile(Path(source).name.removesuffix(".toml"), table, marked, objects)
+    return RecipeFile(_name_of(Path(source)), table, marked, objects)
 
 
 def recipe_to_toml(recipe: Recipe) -> str:
     """Return a recipe for one object as TOML with all its keys."""
     model = next(name for name, kind in _MODELS.items() if isinstance(recipe, kind))
     known = {"model": model, **asdict(recipe)}
-    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in known.items() if value is not None)
+    return "".join(
+        f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in known.items() if value is not None
+    )
 
 
 def recipe_from_toml(text: str, source: str) -> Recipe:
@@ -258,6 +269,29 @@ def recipe_from_toml(text: str, source: str) -> Recipe:
         SettingsError: as `parse_recipe`.
     """
     return parse_recipe(text, source).for_object("", has_marking=False)
+
+
+def _name_of(path: Path) -> str:
+    return path.name.removesuffix(".toml")
+
+
+def _strange_groups(base: Mapping[str, Any], marked: Any, objects: Any) -> Iterator[str]:
+    """Say what of the tables of keys is no table, of no object, or larger than a recipe has use for."""
+    if not isinstance(objects, dict):
+        yield f"{_OBJECTS}: expected a table of keys, found {shown(objects)}"
+        objects = {}
+    if len(objects) > _MAX_OBJECTS:
+        yield f"{_OBJECTS}: expected at most {_MAX_OBJECTS}, found {len(objects)}"
+        objects = {}
+    for name in objects:
+        if not is_object_name(name):
+            yield f"{_OBJECTS}: expected an object's name, {OBJECT_NAME_RULE}, found {shown(name)}"
+    groups = {"the recipe": base, _MARKED: marked, **{f"{_OBJECTS}.{name}": keys for name, keys in objects.items()}}
+    for name, keys in groups.items():
+        if not isinstance(keys, dict):
+            yield f"{name}: expected a table of keys, found {shown(keys)}"
+        elif len(keys) > _MAX_KEYS:
+            yield f"{name}: expected at most {_MAX_KEYS} keys, found {len(keys)}"
 
 
 def _faults_of_replaced(
@@ -276,7 +310,7 @@ def _recipe_of(table: Mapping[str, Any]) -> tuple[Recipe | None, list[str]]:
     keys = dict(table)
     model = keys.pop("model", None)
     if not isinstance(model, str) or model not in _MODELS:
-        return None, [f"model: expected {' or '.join(_MODELS)}, found {model!r}"]
+        return None, [f"model: expected {' or '.join(_MODELS)}, found {shown(model)}"]
     recipe, faults = from_table(_MODELS[model], keys, f"a {model} recipe")
     return recipe, faults or list(recipe.faults() if recipe else ())
 
@@ -285,11 +319,7 @@ def _outside(recipe: Any, **ranges: tuple[float, float]) -> Iterator[str]:
     for name, (least, most) in ranges.items():
         value = getattr(recipe, name)
         if not least <= value <= most:
-            yield (
-                f"{name}: expected {least} to {most}, found {value}"
-                if most < math.inf
-                else (f"{name}: expected {least} or more, found {value}")
-            )
+            yield f"{name}: expected {least} to {most}, found {value}"
 
 
 def _refusal(source: str, faults: list[str]) -> SettingsError:

@@ -3,6 +3,7 @@
 Each row goes the way of any submission: predictions files, then scores.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ def body_group(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD
 
 
 def uniform(path: Path, dataset: Dataset, known: Truth, _level: int = STANDARD_LEVEL) -> None:
-    """Write 30 uniform rotations an image."""
+    """Write 30 uniform rotations per image."""
     rng = np.random.default_rng(_SEED)
     rotations = uniform_rotations(HYPOTHESES * len(known), rng).reshape(len(known), HYPOTHESES, 3, 3)
     write_hypotheses(path, dataset, rotations, method="30 uniform rotations")
@@ -100,12 +101,14 @@ ROWS: dict[str, Write] = {
 }
 
 
-def score_row(name: str, datasets: Sequence[Dataset], workplace: Path, level: int = STANDARD_LEVEL) -> dict[str, Any]:
+def score_row(
+    name: str, datasets: Sequence[Dataset], workplace: str | os.PathLike[str], level: int = STANDARD_LEVEL
+) -> dict[str, Any]:
     """Return the scores document of one reference row on some sets.
 
     Args:
         name: of the row, one of `ROWS`.
-        datasets: whole splits, one an object.
+        datasets: whole splits, one per object.
         workplace: an empty folder for the predictions files.
         level: of the grid; other levels than the standard one do not rank.
 
@@ -113,8 +116,8 @@ def score_row(name: str, datasets: Sequence[Dataset], workplace: Path, level: in
         ScoresError: two sets are of one object.
     """
     if len({dataset.object for dataset in datasets}) < len(datasets):
-        raise ScoresError("more than one of the sets is of the same object; score one set an object")
-    paths = [workplace / f"{dataset.object}.h5" for dataset in datasets]
+        raise ScoresError("more than one of the sets is of the same object; score one set per object")
+    paths = [Path(workplace) / f"{dataset.object}.h5" for dataset in datasets]
     scores: list[ObjectScores] = []
     for path, dataset in zip(paths, datasets, strict=True):
         ROWS[name](path, dataset, truth_of(dataset), level)

@@ -1,12 +1,14 @@
-"""Scores as a document (scores.json), a table for people, and a CSV with a row an image."""
+"""Scores as a document (scores.json), a table for people, and a CSV with a row per image."""
 
 import csv
 import io
 import json
 import math
+import os
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,11 +21,12 @@ from symsol_annot.bench.metric_table import METRICS, Place, metrics_shown
 from symsol_annot.bench.queries import group_sha256
 from symsol_annot.bench.scoring import ObjectScores, TrackScores
 from symsol_annot.errors import ScoresError
-from symsol_annot.files import file_sha256
 from symsol_annot.grid import grid_sha256
+from symsol_annot.reading import file_sha256
 
 SCORES_FORMAT = "symsol-annot scores"
 SCORES_FORMAT_VERSION = 1
+_WIDTH = 116
 STRATA = ("all", "shown", "hidden", "barely")
 _LISTS = re.compile(r"\[\n[^\[\]{}]*\]")  # innermost lists; a string holds no line break
 F_NOTE = (
@@ -32,7 +35,7 @@ F_NOTE = (
 )
 
 
-def to_document(scores: Sequence[ObjectScores], files: Sequence[Path]) -> dict[str, Any]:
+def to_document(scores: Sequence[ObjectScores], files: Sequence[str | os.PathLike[str]]) -> dict[str, Any]:
     """Return the scores of one method on some objects as a JSON document.
 
     Raises:
@@ -41,7 +44,7 @@ def to_document(scores: Sequence[ObjectScores], files: Sequence[Path]) -> dict[s
     names = [one.truth.object for one in scores]
     doubled = sorted({name for name in names if names.count(name) > 1})
     if doubled:
-        raise ScoresError(f"more than one of the files is about {', '.join(doubled)}; score one file an object")
+        raise ScoresError(f"more than one of the files is about {', '.join(doubled)}; score one file per object")
     methods = sorted({one.method for one in scores})
     if len(methods) > 1:
         raise ScoresError(f"the files are of different methods ({', '.join(methods)}); score one method at a time")
@@ -55,7 +58,7 @@ def to_document(scores: Sequence[ObjectScores], files: Sequence[Path]) -> dict[s
             **{name: version(name) for name in ("numpy", "scipy", "h5py")},
         },
         "bootstrap": {"draws": DRAWS, "interval": 0.95, "min_images": MIN_IMAGES},
-        "objects": {one.truth.object: _object(one, path) for one, path in zip(scores, files, strict=True)},
+        "objects": {one.truth.object: _object(one, Path(path)) for one, path in zip(scores, files, strict=True)},
     }
 
 
@@ -76,6 +79,7 @@ def _object(scores: ObjectScores, path: Path) -> dict[str, Any]:
             **track.facts,
             **({} if level is None else {"grid_sha256": grid_sha256(int(level))}),
             "warnings": list(track.warnings),
+            "notes": list(track.notes),
             **{
                 stratum: {metric: _figure(figure) for metric, figure in figures.items()}
                 for stratum, figures in track.figures.items()
@@ -122,7 +126,7 @@ def _number(value: float) -> float | None:
 
 
 def to_json(document: dict[str, Any]) -> str:
-    """Return a document as JSON that a person can read down to the figures and that has one line a list."""
+    """Return a document as JSON that a person can read down to the figures and that has one line per list."""
     text = json.dumps(document, indent=1, allow_nan=False)
     return _LISTS.sub(lambda found: re.sub(r"\n *", " ", found.group()), text) + "\n"
 
@@ -157,7 +161,22 @@ def _track_table(track: str, entry: dict[str, Any]) -> list[str]:
     lines = aligned(rows)
     if track == "classifier":
         lines += [f"  p > {scores['threshold']}, grid of level {scores['grid_level']}; the sweep is in --json"]
-    return lines + [line for warning in scores["warnings"] for line in textwrap.wrap(f"WARNING: {warning}", 116)]
+    if "density_floor" in scores:
+        lines += [f"  probabilities of cells under {scores['density_floor']:g} were not told apart by its writer"]
+    return lines + remarks(scores)
+
+
+def remarks(scores: dict[str, Any], whose: str = "") -> list[str]:
+    """Return a track's warnings, for which it does not rank, and notes, with which it does, as lines of a table.
+
+    Args:
+        scores: of the track, as the document has them.
+        whose: they are, where several methods are shown.
+    """
+    found = [f"WARNING{whose}: {warning}" for warning in scores["warnings"]]
+    found += [f"NOTE{whose}: {note}" for note in scores.get("notes", [])]
+    wrap = partial(textwrap.wrap, width=_WIDTH, break_long_words=False, break_on_hyphens=False)
+    return [line for remark in found for line in wrap(remark)]
 
 
 def cell(figure: dict[str, Any]) -> str:
@@ -174,13 +193,15 @@ def short(value: float, sign: str = "-") -> str:
 
 
 def _summary(document: dict[str, Any]) -> str:
-    """Return a row a figure and a column an object, and their mean."""
+    """Return a row per figure and a column per object, and their mean."""
     lines = ["all objects, all images"]
     for track in METRICS:
         entries = {name: entry[track] for name, entry in document["objects"].items() if track in entry}
         if not entries:
             continue
         rows = [[track, *entries, "mean"]]
+        if track == "hypotheses":
+            rows.append(["M, hypotheses per image", *(str(entry["M"]) for entry in entries.values()), ""])
         for metric in metrics_shown(track, Place.SUMMARY):
             values = [entry["all"][metric.name]["value"] for entry in entries.values()]
             known = [value for value in values if value is not None]
@@ -204,7 +225,7 @@ def aligned(rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def per_image_csv(scores: Sequence[ObjectScores]) -> str:
-    """Return a row an image, of all objects, with every metric of every track as a column."""
+    """Return a row per image, of all objects, with every metric of every track as a column."""
     columns = {
         f"{name}.{metric}": None
         for one in scores

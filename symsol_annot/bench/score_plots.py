@@ -1,14 +1,17 @@
 """Scores as curves: precision and recall over thresholds, coverage over angles."""
 
-import re
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from symsol_annot.bench.metric_table import ANGLES_DEG, SWEPT_THRESHOLDS
+from symsol_annot.bench.report import STRATA
 from symsol_annot.bench.scores_file import read_scores
 from symsol_annot.canvas import SERIES, label_text, new_figure, write_figure
 from symsol_annot.errors import ScoresError
 
+AnyPath: TypeAlias = str | os.PathLike[str]
 Figures: TypeAlias = Mapping[str, Mapping[str, Any]]
 
 _INCHES = (4.2, 3.4)
@@ -17,7 +20,7 @@ _LABELLED = (0.1, 0.5, 0.8, 0.99)  # thresholds whose points are named
 _SHARE = (-0.02, 1.02)  # the limits of an axis
 
 
-def plot_precision_recall(scores: Sequence[Path], path: Path, name: str, stratum: str = "all") -> None:
+def plot_precision_recall(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: str = "all") -> None:
     """Write the precision of classifiers over their recall, at the thresholds that `score` sweeps.
 
     Args:
@@ -36,7 +39,7 @@ def plot_precision_recall(scores: Sequence[Path], path: Path, name: str, stratum
     _plot(scores, path, name, stratum, "classifier", _draw_precision_recall, axes_options)
 
 
-def plot_coverage(scores: Sequence[Path], path: Path, name: str, stratum: str = "all") -> None:
+def plot_coverage(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: str = "all") -> None:
     """Write the coverage of hypotheses over the angle, and dashed their accuracy, with their 95% intervals.
 
     Args, Raises: as `plot_precision_recall`, of the hypotheses track.
@@ -46,8 +49,8 @@ def plot_coverage(scores: Sequence[Path], path: Path, name: str, stratum: str = 
 
 
 def _plot(
-    scores: Sequence[Path],
-    path: Path,
+    scores: Sequence[AnyPath],
+    path: AnyPath,
     name: str,
     stratum: str,
     track: str,
@@ -66,12 +69,14 @@ def _plot(
     axes.grid(visible=True, color="0.9", linewidth=0.5)
     if any(len(line.get_xdata()) for line in axes.lines):
         axes.legend(fontsize=7, frameon=False)
-    write_figure(figure, path)
+    write_figure(figure, Path(path))
 
 
 def _draw_precision_recall(axes: Any, method: str, figures: Figures, style: Mapping[str, Any]) -> None:
-    recall, precision = (_by_number(figures, f"{what}_above_") for what in ("recall", "precision"))
-    thresholds = [t for t in recall if recall[t]["value"] is not None and precision[t]["value"] is not None]
+    recall, precision = (
+        _values(figures, {t: f"{what}_above_{t:g}" for t in SWEPT_THRESHOLDS}) for what in ("recall", "precision")
+    )
+    thresholds = [t for t in recall if t in precision]
     points = [(recall[t]["value"], precision[t]["value"]) for t in thresholds]
     axes.plot([x for x, _ in points], [y for _, y in points], label=label_text(method), **style)
     for threshold, point in zip(thresholds, points, strict=True):
@@ -81,31 +86,32 @@ def _draw_precision_recall(axes: Any, method: str, figures: Figures, style: Mapp
 
 def _draw_coverage(axes: Any, method: str, figures: Figures, style: Mapping[str, Any]) -> None:
     for what, dashes in (("coverage", "-"), ("accuracy", "--")):
-        values = {angle: f for angle, f in _by_number(figures, f"{what}_at_").items() if f["value"] is not None}
+        values = _values(figures, {angle: f"{what}_at_{angle}_deg" for angle in ANGLES_DEG})
         shares = [figure["value"] for figure in values.values()]
         axes.plot(list(values), shares, label=label_text(f"{what}, {method}"), **{**style, "linestyle": dashes})
-        known = {angle: f for angle, f in values.items() if f.get("low") is not None and f.get("high") is not None}
+        known = {angle: f for angle, f in values.items() if f["low"] is not None and f["high"] is not None}
         ends = ([figure[end] for figure in known.values()] for end in ("low", "high"))
         axes.fill_between(list(known), *ends, color=style["color"], alpha=0.12, linewidth=0)
 
 
-def _tracks(paths: Sequence[Path], name: str, track: str, stratum: str) -> list[tuple[str, Figures]]:
-    """Return method and figures of each file."""
+def _tracks(paths: Sequence[AnyPath], name: str, track: str, stratum: str) -> list[tuple[str, Figures]]:
+    """Return the name of each file's result, with its M where it has one, and its figures."""
     found = []
     for path in paths:
         document = read_scores(path)
-        figures = document["objects"].get(name, {}).get(track, {}).get(stratum)
+        scores = document["objects"].get(name, {}).get(track, {})
+        figures = scores.get(stratum) if stratum in STRATA else None
         if figures is None:
-            there = ", ".join(document["objects"])
+            there = ", ".join(document["objects"]) or "no object"
             raise ScoresError(
                 f"{path}: expected a {track} track about {name}, with a stratum {stratum}; it is about {there}"
             )
-        found.append((document["method"], figures))
+        count = f" (M = {scores['M']})" if track == "hypotheses" else ""
+        found.append((f"{document['method']}{count}", figures))
     return found
 
 
-def _by_number(figures: Mapping[str, Any], prefix: str) -> dict[float, Mapping[str, Any]]:
-    """Return threshold or angle to figure, ascending, of the metrics that are named by one."""
-    number = re.compile(rf"{prefix}([\d.]+)(_deg)?")
-    named = {float(found[1]): figures[metric] for metric in figures if (found := number.fullmatch(metric))}
-    return dict(sorted(named.items()))
+def _values(figures: Figures, names: Mapping[float, str]) -> dict[float, Mapping[str, Any]]:
+    """Return threshold or angle to figure, of the metrics that are there and defined."""
+    there = {number: figures[name] for number, name in names.items() if name in figures}
+    return {number: figure for number, figure in there.items() if figure["value"] is not None}

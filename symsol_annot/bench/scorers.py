@@ -8,9 +8,11 @@ import numpy.typing as npt
 
 from symsol_annot.bench import metrics
 from symsol_annot.bench.averages import Figure
+from symsol_annot.bench.conventions_tried import ConventionsTried
 from symsol_annot.bench.format import STANDARD_THRESHOLD
-from symsol_annot.bench.metric_table import ANGLES_DEG, SWEPT_THRESHOLDS
+from symsol_annot.bench.metric_table import ANGLES_DEG, F_UNWEIGHTED, RANKED_ANGLE_DEG, SWEPT_THRESHOLDS
 from symsol_annot.bench.nearest import angles_to_arcs, nearest_angles, nearest_angles_on_circles
+from symsol_annot.bench.normalisation_tried import NormalisationTried
 from symsol_annot.bench.queries import Queries
 from symsol_annot.bench.tracks import (
     ClassifierBlock,
@@ -25,8 +27,11 @@ from symsol_annot.grid import STANDARD_LEVEL, GridIndex, grid_size
 from symsol_annot.so3 import Angles, Rotations
 
 NEAR_SET_RAD = float(np.radians(0.5))
-_ROUNDING_RAD = 1e-9  # neighbours on the lattice are 1, 2, .. degrees apart, which is where the thresholds lie
-HARD_NEGATIVE_RAD = float(np.radians(5.0)) + _ROUNDING_RAD
+# Neighbours on the lattice are 1, 2, .. degrees apart, which is where the thresholds lie. An angle to a rotation that
+# was rounded to float32, or multiplied in it, is off by less than the slack (docs/metrics.md, "Angles").
+SLACK_RAD = 1e-6
+_LABELS_SLACK_RAD = 1e-9  # between labels, which are float64
+HARD_NEGATIVE_RAD = float(np.radians(5.0)) + _LABELS_SLACK_RAD
 _MANY_MEMBERS = 24  # from where the circles are faster than all pairs
 _DECOY_FACTOR, _DECOY_SLACK = 3.0, 0.01
 
@@ -37,19 +42,31 @@ Weights = npt.NDArray[np.float64]
 Row = dict[str, tuple[float, float]]  # metric to value and weight
 Facts = dict[str, float | int]
 Warnings = tuple[str, ...]
+Notes = tuple[str, ...]
+FAVOURED_CELLS = 16
+_ASKED_OTHERWISE = "where it is asked about the rotations R, answer about {code}"
+
+
+def hypotheses_name(count: int) -> str:
+    """Return how a result with M hypotheses per image is named, for its best possible recall depends on M."""
+    return f"hypotheses (M = {count})"
 
 
 class HypothesesScorer:
     """Recall and precision of hypotheses (section 5.2)."""
 
     def __init__(self, track: HypothesesTrack, truth: Truth) -> None:
-        self._truth = truth
-        self._thresholds_rad = np.radians(ANGLES_DEG) + _ROUNDING_RAD
-        self.name = f"hypotheses (M = {track.count})"
+        self._truth, self._conventions = truth, ConventionsTried(truth)
+        self._thresholds_rad = np.radians(ANGLES_DEG) + SLACK_RAD
+        self.name = hypotheses_name(track.count)
         self.facts: Facts = {"M": track.count}
 
     def score_block(self, block: HypothesesBlock) -> list[Row]:
         """Return the figures of each image."""
+        for row, i in enumerate(block.image_index):
+            if self._conventions.wants(int(i)):
+                used = slice(None) if block.weights is None else block.weights[row] > 0
+                self._conventions.add(int(i), block.hypotheses[row][used])
         if block.weights is not None:  # a hypothesis of weight 0 is absent, so that images differ in their counts
             rows = zip(block.image_index, block.hypotheses, block.weights, strict=True)
             return [self._score_image(int(i), h[w > 0], w[w > 0]) for i, h, w in rows]
@@ -97,11 +114,18 @@ class HypothesesScorer:
             row[f"coverage_image_mean_at_{degrees}_deg"] = (coverage[t], 1)
             row[f"accuracy_at_{degrees}_deg"] = (accuracy[t], 1)
             row[f"f_measure_at_{degrees}_deg"] = (f_measure[t], 1)
+        if weights is not None:  # what ranks: small weights must not make many guesses free
+            accuracy = metrics.share_within(precision_errors, self._thresholds_rad)
+            row[F_UNWEIGHTED] = (metrics.harmonic_mean(coverage, accuracy)[ANGLES_DEG.index(RANKED_ANGLE_DEG)], 1)
         return row
 
     def warnings(self, over_all: dict[str, Figure]) -> Warnings:  # noqa: ARG002 - the scorers' common form
         """Return why the score does not rank: there is no such reason."""
         return ()
+
+    def notes(self) -> Notes:
+        """Return what its author should know: that another convention fits far better."""
+        return self._conventions.notes("write {code} in place of the rotations R")
 
 
 class _OnGrid:
@@ -113,6 +137,11 @@ class _OnGrid:
     @cached_property
     def _grid(self) -> GridIndex:
         return GridIndex(self._level)
+
+    def _likeliest(self, indices: Indices, values: npt.NDArray[Any]) -> Rotations:
+        """Return the rotations of the few cells that an image's answers favour; none where it favours none."""
+        order = np.argsort(-values, kind="stable")[:FAVOURED_CELLS]
+        return self._grid.rotations[indices[order]]
 
 
 class ClassifierScorer(_OnGrid):
@@ -128,9 +157,13 @@ class ClassifierScorer(_OnGrid):
         self._queries = Queries(truth.fingerprint, truth.labels.symmetry_group)
         self._near = near_elements(truth.labels.symmetry_group, HARD_NEGATIVE_RAD)
         self.facts: Facts = {"floor": track.floor, "threshold": STANDARD_THRESHOLD, "grid_level": self._level}
+        self._conventions, self._normalisation = ConventionsTried(truth), NormalisationTried(self._level)
 
     def score_block(self, block: ClassifierBlock) -> list[Row]:
         """Return the figures of each image."""
+        for row, i in enumerate(block.image_index):
+            if self._conventions.wants(int(i)):
+                self._conventions.add(int(i), self._likeliest(*block.on_grid.row(row)))
         return [self._score_image(block, r) for r in range(len(block.image_index))]
 
     def _score_image(self, block: ClassifierBlock, r: int) -> Row:
@@ -138,6 +171,7 @@ class ClassifierScorer(_OnGrid):
         mask = self._truth.labels.symmetry_mask[i]
         asked = self._queries.unshuffle(i, block.query_probability[r])
         candidates, decoys = asked[0], asked[1:]
+        self._normalisation.add(asked)
         grid_indices, grid_probability = block.on_grid.row(r)
         size, set_size, s = grid_size(self._level), int(mask.sum()), self._standard
         tp = _count_above(candidates[mask], self._thresholds)
@@ -182,6 +216,10 @@ class ClassifierScorer(_OnGrid):
         )
         return (warning, *_grid_warnings(self._level))
 
+    def notes(self) -> Notes:
+        """Return what its author should know: that answers look normalised, or fit far better in another convention."""
+        return (*self._normalisation.notes(), *self._conventions.notes(_ASKED_OTHERWISE))
+
 
 class DensityScorer(_OnGrid):
     """Log-likelihood and spread of a density on the grid, each beside that of the best density there."""
@@ -190,11 +228,15 @@ class DensityScorer(_OnGrid):
 
     def __init__(self, track: DensityTrack, truth: Truth) -> None:
         super().__init__(track.grid_level)
-        self._truth = truth
-        self.facts: Facts = {"grid_level": self._level}
+        self._truth, self._conventions = truth, ConventionsTried(truth)
+        floor = track.density_floor
+        self.facts: Facts = {"grid_level": self._level, **({} if floor is None else {"density_floor": floor})}
 
     def score_block(self, block: DensityBlock) -> list[Row]:
         """Return the figures of each image."""
+        for row, i in enumerate(block.image_index):
+            if self._conventions.wants(int(i)):
+                self._conventions.add(int(i), self._likeliest(*block.on_grid.row(row)))
         return [self._score_image(block, r) for r in range(len(block.image_index))]
 
     def _score_image(self, block: DensityBlock, r: int) -> Row:
@@ -229,6 +271,10 @@ class DensityScorer(_OnGrid):
     def warnings(self, over_all: dict[str, Figure]) -> Warnings:  # noqa: ARG002 - the scorers' common form
         """Return why the score does not rank: another grid."""
         return _grid_warnings(self._level)
+
+    def notes(self) -> Notes:
+        """Return what its author should know: that another convention fits far better."""
+        return self._conventions.notes(_ASKED_OTHERWISE)
 
 
 Scorer = HypothesesScorer | ClassifierScorer | DensityScorer

@@ -1,6 +1,8 @@
 """Reading a scores.json, which may have been edited: what it says of each image, and whether its figures follow."""
 
 import json
+import os
+import re
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -10,32 +12,42 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.bench.averages import PerImage, figures
-from symsol_annot.bench.format import version_fault
+from symsol_annot.bench.format import MAX_HYPOTHESES, version_fault
 from symsol_annot.bench.metric_table import METRICS, pooled_metrics
 from symsol_annot.bench.report import SCORES_FORMAT, SCORES_FORMAT_VERSION, STRATA
+from symsol_annot.bench.scorers import hypotheses_name
 from symsol_annot.bench.structure import shown
 from symsol_annot.errors import ScoresError, bulleted
+from symsol_annot.names import METHOD_NAME_RULE, OBJECT_NAME_RULE, SPLITS, is_method_name, is_object_name, is_split
+from symsol_annot.reading import read_bytes
 
-_MAX_BYTES = 2**28
+MAX_BYTES = 2**26  # 45,000 images of seven objects have 40 MB per track
+_MAX_TABLES = 2**18  # lists and tables in a file, which take 20 times their text in memory; `score` writes thousands
+_MAX_IMAGES = 400_000  # of all objects together; 45,000 of each make 315,000
 _LARGEST = 1e6  # no figure and no set comes near it
 _SHOWN_FAULTS = 10
+_LONGEST_TEXT = 2000  # characters
+_WORD = re.compile(r"[\w.]{1,80}")
 _ENDS = ("value", "low", "high")
+_COUNTS = ("images", "undefined")
 _DIGITS_LOST = 1e-9  # a scores.json has figures to twelve digits
 
 
-def read_scores(path: Path) -> dict[str, Any]:
-    """Read a scores.json.
+def read_scores(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a scores.json, of which every name and every figure that this package uses is then known to be one.
 
     Raises:
         ScoresError: it is missing, too large, no JSON, no scores of this version, or damaged.
     """
     try:
-        if path.stat().st_size > _MAX_BYTES or not path.is_file():
-            raise ScoresError(f"{path}: is no scores file: a regular file of at most {_MAX_BYTES >> 20} MiB")
-        document = json.loads(path.read_bytes())
+        text = read_bytes(Path(path), MAX_BYTES)
     except OSError as error:
         raise ScoresError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, RecursionError) as error:
+    if text.count(b"[") + text.count(b"{") > _MAX_TABLES:
+        raise ScoresError(f"{path}: is no scores file: it has more than {_MAX_TABLES:,} lists and tables")
+    try:
+        document = json.loads(text, object_pairs_hook=_table)
+    except (ValueError, RecursionError) as error:  # RecursionError: lists in lists in lists
         raise ScoresError(f"{path}: is no JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != SCORES_FORMAT:
         raise ScoresError(f"{path}: is no scores file ('format' is not {SCORES_FORMAT!r}); `score --json` writes one")
@@ -48,23 +60,44 @@ def read_scores(path: Path) -> dict[str, Any]:
     return document
 
 
+def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the keys and values of a JSON table, of which none may stand there twice."""
+    table: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in table:
+            raise ValueError(f"the key {shown(name)} stands in one table more than once")
+        table[name] = value
+    return table
+
+
 def _faults(document: dict[str, Any]) -> Iterator[str]:
-    """Yield what a comparison needs of a document and does not find."""
+    """Yield what a comparison, a plot or a page needs of a document and does not find."""
     objects = document.get("objects")
-    if not _is_text(document.get("method")):
-        yield "'method' is no name"
-    if not isinstance(objects, dict) or not all(_is_text(name) for name in objects):
+    if not is_method_name(document.get("method")):
+        yield f"'method' is no name: expected {METHOD_NAME_RULE}"
+    if not isinstance(objects, dict):
         yield "'objects' is no table of scores by object"
         return
+    images = 0
     for name, entry in objects.items():
-        yield from (f"objects.{name}{fault}" for fault in _object_faults(entry))
+        if not is_object_name(name):
+            yield f"'objects' has {shown(name)}, which is no object's name: expected {OBJECT_NAME_RULE}"
+            continue
+        faults = list(islice(_object_faults(entry), _SHOWN_FAULTS))
+        yield from (f"objects.{name}{fault}" for fault in faults)
+        images += 0 if faults else entry["images"]
+    if images > _MAX_IMAGES:
+        yield f"'objects' are about {images:,} images together; at most {_MAX_IMAGES:,} are read"
 
 
 def _object_faults(entry: Any) -> Iterator[str]:
     if not isinstance(entry, dict) or not isinstance(entry.get("per_image"), dict):
         yield " has no 'per_image'"
         return
-    yield from (f".{what} is no name" for what in ("split", "fingerprint") if not _is_text(entry.get(what)))
+    if not is_split(entry.get("split")):
+        yield f".split: expected one of {', '.join(SPLITS)}, found {shown(entry.get('split'))}"
+    if not _is_text(entry.get("fingerprint")):
+        yield ".fingerprint is no text"
     images, per_image = entry.get("images", 0), entry["per_image"]
     if not _is_count(images, _LARGEST) or images == 0:
         yield ".images is no count"
@@ -83,23 +116,56 @@ def _object_faults(entry: Any) -> Iterator[str]:
 
 
 def _track_faults(track: str, scores: Any, columns: Any, images: int, strata: list[str]) -> Iterator[str]:
-    if not isinstance(scores, dict) or not _is_text(scores.get("name")):
-        yield f".{track}.name is no name"
+    if not isinstance(scores, dict):
+        yield f".{track} is no table of figures"
         return
-    warnings = scores.get("warnings")
-    if not isinstance(warnings, list) or not all(_is_text(warning) for warning in warnings):
-        yield f".{track}.warnings is no list of texts"
+    yield from (f".{track}{fault}" for fault in _faults_of_facts(track, scores))
     if not isinstance(columns, dict) or not columns:
         yield f".per_image.{track} is missing"
         return
     for metric, column in columns.items():
         if not _is_column(column, images) or not all(_is_figure(value) for value in column):
-            yield f".per_image.{track}.{metric} is no list of {images} figures"
-        for stratum in strata:
-            figures = scores.get(stratum)
-            figure = figures.get(metric) if isinstance(figures, dict) else None
-            if not isinstance(figure, dict) or not all(end in figure and _is_figure(figure[end]) for end in _ENDS):
-                yield f".{track}.{stratum}.{metric} has no value with an interval"
+            yield f".per_image.{track}.{_word(metric)} is no list of {images} figures"
+    for stratum in strata:
+        figures = scores.get(stratum)
+        if not isinstance(figures, dict):
+            yield f".{track}.{stratum} is no table of figures"
+            continue
+        metrics = dict.fromkeys([*columns, *figures])
+        yield from (
+            f".{track}.{stratum}.{_word(metric)} has no value with an interval"
+            for metric in metrics
+            if not _is_averaged(figures.get(metric))
+        )
+
+
+def _faults_of_facts(track: str, scores: dict[str, Any]) -> Iterator[str]:
+    """Say what is wrong with what stands beside a track's figures: its name, its M, warnings and notes."""
+    name = track
+    if track == "hypotheses":
+        if not _is_count(scores.get("M"), MAX_HYPOTHESES + 1) or scores["M"] == 0:
+            yield f".M: expected 1 to {MAX_HYPOTHESES} hypotheses per image, found {shown(scores.get('M'))}"
+            return
+        name = hypotheses_name(scores["M"])
+    if scores.get("name") != name:
+        yield f".name: expected {name!r}, found {shown(scores.get('name'))}"
+    for what, found in (("warnings", scores.get("warnings")), ("notes", scores.get("notes", []))):
+        if not isinstance(found, list) or not all(_is_text(line) for line in found):
+            yield f".{what} is no list of texts"
+
+
+def _word(metric: str) -> str:
+    """Return a metric's name for a message, in quotes where it is no word."""
+    return metric if _WORD.fullmatch(metric) else shown(metric)
+
+
+def _is_averaged(figure: Any) -> bool:
+    """Tell whether this is a figure over a stratum: a value with its interval, and over how many images it is."""
+    return (
+        isinstance(figure, dict)
+        and all(end in figure and _is_figure(figure[end]) for end in _ENDS)
+        and all(_is_count(figure.get(count), _LARGEST) for count in _COUNTS)
+    )
 
 
 def per_image_table(entry: dict[str, Any], track: str) -> PerImage:
@@ -140,7 +206,7 @@ def _is_same(said: float | None, computed: float) -> bool:
 
 
 def _is_text(value: Any) -> bool:
-    return isinstance(value, str) and value.isprintable()
+    return isinstance(value, str) and value.isprintable() and len(value) <= _LONGEST_TEXT
 
 
 def _is_count(value: Any, end: float) -> bool:

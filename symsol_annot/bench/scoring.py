@@ -1,8 +1,8 @@
-"""Predictions against the truth: figures an image, track by track, and then figures a stratum."""
+"""Predictions against the truth: figures per image, track by track, and then figures per stratum."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ class TrackScores:
         figures: stratum to metric to figure.
         facts: what else belongs to the result: M, the grid's level, the floor.
         warnings: why it does not rank, in plain words.
+        notes: what its author should know of it, though it ranks.
     """
 
     name: str
@@ -34,6 +35,7 @@ class TrackScores:
     figures: dict[str, dict[str, Figure]]
     facts: Facts
     warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,9 @@ class ObjectScores:
     tracks: dict[str, TrackScores]
 
 
-def score_file(path: Path, data: Path, on_images: OnImages = lambda _: None) -> ObjectScores:
+def score_file(
+    path: str | os.PathLike[str], data: str | os.PathLike[str], on_images: OnImages = lambda _: None
+) -> ObjectScores:
     """Score a predictions file.
 
     Args:
@@ -81,7 +85,8 @@ def score(predictions: Predictions, on_images: OnImages = lambda _: None) -> Obj
     tracks = {}
     for name, (scorer, table) in tables.items():
         result = figures(table, truth.strata)
-        tracks[name] = TrackScores(scorer.name, table, result, scorer.facts, scorer.warnings(result["all"]))
+        warnings, notes = scorer.warnings(result["all"]), scorer.notes()
+        tracks[name] = TrackScores(scorer.name, table, result, scorer.facts, warnings, notes)
     return ObjectScores(predictions.method, truth, tracks)
 
 

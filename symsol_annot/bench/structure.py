@@ -19,20 +19,20 @@ from symsol_annot.bench.format import (
     track_of,
     version_fault,
 )
+from symsol_annot.bench.mends import mend_of_name, mend_of_shape
 from symsol_annot.bench.queries import group_sha256
-from symsol_annot.bench.sandbox import DatasetFacts, SandboxedFile
 from symsol_annot.bench.truth import Truth
 from symsol_annot.errors import PredictionsError
 from symsol_annot.grid import grid_sha256
+from symsol_annot.sandbox import DatasetFacts, SandboxedFile
 
 _MAX_EXPANSION = 1100  # gzip's is 1032; what is larger was never written
 _FREE_BYTES = 2**26  # of such a data set
 _SHOWN_CHARACTERS = 100
 _WORDS = {str: "a string", int: "a whole number", float: "a number"}
 _ADVICE = {
-    "fingerprint": "; the file is about another data set, or another version of it",
-    "group_sha256": "; the queries were asked in the order of another group",
-    "grid_sha256": "; the grid is another one, or in another order",
+    "group_sha256": "; the queries were asked in the order of another group: `symsol-annot queries` writes this one",
+    "grid_sha256": "; the grid is another one, or in another order: `symsol-annot queries` writes this one",
     "object": "; --data names a set of another object",
 }
 
@@ -40,15 +40,6 @@ _ADVICE = {
 def shown(value: Any) -> str:
     """Return a stranger's value for a message: in quotes, with control characters escaped, and short."""
     return repr(value) if len(repr(value)) <= _SHOWN_CHARACTERS else f"{repr(value)[:_SHOWN_CHARACTERS]}..."
-
-
-def _fault_of_value(name: str, value: Any, right: dict[str, Any]) -> str:
-    """Say why an attribute's value is not the one that it should be, as far as that is known; "" where it is."""
-    if name == "format_version":
-        return version_fault(value, right[name])
-    if name not in right or value == right[name]:
-        return ""
-    return f"attribute {name!r}: expected {right[name]!r}, found {shown(value)}{_ADVICE.get(name, '')}"
 
 
 class Structure:
@@ -101,19 +92,46 @@ class Structure:
             value, odd = found.get(name), self.file.odd_attributes.get(name)
             if odd or value is None:
                 reason = f"is not {_WORDS[kind]} but {odd}" if odd else f"is missing; it is {_WORDS[kind]}"
-                self.faults.add(track, f"attribute {name!r} {reason}")
+                self.faults.add(track, f"attribute {name!r} {reason}{self._line(name, right)}")
             elif not isinstance(value, int | float if kind is float else kind):
                 self.faults.add(track, f"attribute {name!r}: expected {_WORDS[kind]}, found {shown(value)}")
-            elif fault := _fault_of_value(name, value, right):
+            elif fault := self._fault_of_value(name, value, right):
                 self.faults.add(track, fault)
         return len(self.faults) == before
+
+    def _fault_of_value(self, name: str, value: Any, right: dict[str, Any]) -> str:
+        """Say why an attribute's value is not the one that it should be, as far as that is known; "" where it is."""
+        if name == "format_version":
+            return version_fault(value, right[name])
+        if name not in right or value == right[name]:
+            return ""
+        advice = self._advice_on_fingerprint(value) if name == "fingerprint" else _ADVICE.get(name, "")
+        return f"attribute {name!r}: expected {right[name]!r}, found {shown(value)}{advice}"
+
+    def _advice_on_fingerprint(self, found: str) -> str:
+        """Say what a wrong fingerprint is of, and what to do."""
+        truth = self.truth
+        line = f"f.attrs['fingerprint'] = symsol_annot.load({truth.folder!r}, {truth.split!r}).fingerprint"
+        if found in truth.other_fingerprints:
+            return f"; that is {truth.other_fingerprints[found]}, where the {truth.split} split's belongs: {line}"
+        return (
+            "; the file is about another data set, or another version of it: --data names the set that it is about, or "
+            f"predict the images of this one, whose fingerprint `symsol-annot info {truth.folder}` prints"
+        )
+
+    def _line(self, name: str, right: dict[str, Any]) -> str:
+        """Return the line that writes an attribute; "" where its value is the method's own."""
+        return f": f.attrs[{name!r}] = {right[name]!r}" if name in right else ""
 
     def is_shaped(self, name: str, types: tuple[str, ...], shape: tuple[int | str, ...]) -> bool:
         """Check a data set's type and shape, in which a letter stands for any size."""
         facts = self._facts.get(name)
         if facts is None:
             if not self.has(name):
-                self.faults.add(track_of(name), f"data set {name!r} is missing")
+                line = (
+                    f"; f[{name!r}] = range({len(self.truth)}) where rows are in order" if name == IMAGE_INDEX else ""
+                )
+                self.faults.add(track_of(name), f"data set {name!r} is missing{line}")
             return False
         fits = len(facts.shape) == len(shape) and all(
             isinstance(want, str) or have == want for have, want in zip(facts.shape, shape, strict=True)
@@ -122,10 +140,8 @@ class Structure:
             return self._is_contained(name, facts)
         wanted = f"{' or '.join(t[1:] for t in types)} of shape ({', '.join(map(str, shape))})"
         found = f"{facts.dtype[1:]} of shape {facts.shape}"
-        hint = ""
-        if name == "hypotheses" and facts.shape[-1:] == (4,):
-            hint = "; these look like quaternions, where 3x3 rotation matrices belong"
-        self.faults.add(track_of(name), f"{name!r}: expected {wanted}, found {found}{hint}")
+        mend = mend_of_shape(name, facts.shape, facts.dtype, len(self.truth))
+        self.faults.add(track_of(name), f"{name!r}: expected {wanted}, found {found}{mend and f'; {mend}'}")
         return False
 
     def _is_contained(self, name: str, facts: DatasetFacts) -> bool:
@@ -153,7 +169,8 @@ class Structure:
         foreign = [str(number) for number in facts.filters if number not in FILTERS]
         reason = ""
         if name != IMAGE_INDEX and not any(name in names for names in TRACKS.values()):
-            reason = "is not part of the format"
+            known = [IMAGE_INDEX, *(known for names in TRACKS.values() for known in names)]
+            reason = f"is not part of the format{mend_of_name(name, known)}"
         elif facts.found:
             reason = f"is {facts.found}, where a data set of numbers in this file belongs"
         elif foreign:
@@ -177,6 +194,7 @@ class Structure:
             return None
         is_strange = (image_index < 0) | (image_index >= expected)
         seen = np.bincount(image_index[~is_strange], minlength=expected)
+        counts_from_1 = np.array_equal(np.sort(image_index), np.arange(1, expected + 1))
         found = {
             "{} of the {} images are missing": np.flatnonzero(seen == 0),
             "{} of the {} images are there more than once": np.flatnonzero(seen > 1),
@@ -185,5 +203,6 @@ class Structure:
         for what, which in found.items():
             if len(which):
                 some = ", ".join(str(i) for i in which[:5]) + (", ..." if len(which) > 5 else "")
-                self.faults.add("the file", f"{IMAGE_INDEX!r}: {what.format(len(which), expected)}: {some}")
+                mend = "; images count from 0: subtract 1" if counts_from_1 else ""
+                self.faults.add("the file", f"{IMAGE_INDEX!r}: {what.format(len(which), expected)}: {some}{mend}")
         return None if any(map(len, found.values())) else image_index

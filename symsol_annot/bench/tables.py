@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 T = TypeVar("T")
 
 _LARGEST_INT = 2**63 - 1  # TOML has none beyond
+_SHOWN_CHARACTERS = 100
 _WORDS = {float: "a number", int: "a whole number", dt.date: "a date"}
 
 
@@ -23,7 +24,7 @@ def from_table(kind: type[T], table: Mapping[str, Any], what: str) -> tuple[T | 
         what: the table is, in words: "a classifier recipe".
     """
     hints, known = get_type_hints(kind), {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
-    faults = [f"{key}: is no key of {what}; keys are {', '.join(known)}" for key in table if key not in known]
+    faults = [f"{_key(key)}: is no key of {what}; keys are {', '.join(known)}" for key in table if key not in known]
     faults += [f"{name}: is missing" for name, field in known.items() if _is_required(field) and name not in table]
     values = {key: _parsed(table[key], hints[key], key, faults) for key in table if key in known}
     return (None, faults) if faults else (kind(**values), faults)
@@ -45,7 +46,7 @@ def _parsed(value: Any, hint: Any, where: str, faults: list[str]) -> Any:
         if isinstance(value, list):
             return tuple(_parsed(one, get_args(hint)[0], where, faults) for one in value)
         faults.append(
-            f"{where}: expected a list of {'text' if get_args(hint)[0] is str else 'numbers'}, found {value!r}"
+            f"{where}: expected a list of {'text' if get_args(hint)[0] is str else 'numbers'}, found {_shown(value)}"
         )
         return ()
     if origin is Literal:
@@ -56,16 +57,28 @@ def _parsed(value: Any, hint: Any, where: str, faults: list[str]) -> Any:
         expected = next((_WORDS[kind] for kind in _WORDS if kind in kinds), "text")
         is_right = type(value) in kinds  # True is an int, and no number here
     if not is_right:
-        faults.append(f"{where}: expected {expected}, found {value!r}")
+        faults.append(f"{where}: expected {expected}, found {_shown(value)}")
     return value
 
 
 def _parsed_table(value: Any, hint: Any, where: str, faults: list[str]) -> Any:
     if not isinstance(value, dict):
-        faults.append(f"{where}: expected a table of keys, found {value!r}")
+        faults.append(f"{where}: expected a table of keys, found {_shown(value)}")
         return {}
     if is_dataclass(hint):
         made, found = from_table(hint, value, where)  # type: ignore[arg-type]
         faults += [f"{where}.{fault}" for fault in found]
         return made
-    return {key: _parsed(one, get_args(hint)[1], f"{where}.{key}", faults) for key, one in value.items()}
+    return {key: _parsed(one, get_args(hint)[1], f"{where}.{_key(key)}", faults) for key, one in value.items()}
+
+
+def _shown(value: Any) -> str:
+    """Return a stranger's value for a message: in quotes, with control characters escaped, and short."""
+    text = repr(value)
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
+
+
+def _key(key: str) -> str:
+    """Return a stranger's key for a message: short, and in quotes where it is no plain word."""
+    is_plain = key.isprintable() and len(key) <= _SHOWN_CHARACTERS
+    return key if is_plain else _shown(key)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from symsol_annot.bench.format import (
     CLASSIFIER_ATTRIBUTES,
+    DENSITY_FLOOR,
     GRID_ATTRIBUTES,
     INTEGERS,
     MAX_GRID_LEVEL,
@@ -18,6 +19,7 @@ from symsol_annot.bench.format import (
     STANDARD_THRESHOLD,
     is_level,
 )
+from symsol_annot.bench.mends import mend_of_matrices
 from symsol_annot.bench.queries import query_count
 from symsol_annot.bench.structure import Structure
 from symsol_annot.grid import grid_size
@@ -26,6 +28,8 @@ from symsol_annot.so3 import Rotations, rotation_deviation
 _BLOCK_BYTES = 2**24
 _BLOCK_ENTRIES = 2**21
 _LEAST_LOG = -1e6  # so that sums over images are finite
+_EXACT = 1e-9  # a rotation of float64 is closer to SO(3); scores of it do not depend on a projection
+_ROUNDED = 1e-3  # outside of what is allowed, by less than a mistake would be
 _ALL_LISTED = 1e-5  # how far from 1 the sum of a density may be that lists every cell
 
 Indices = npt.NDArray[np.int64]
@@ -102,7 +106,7 @@ class HypothesesTrack:
         structure = self._structure
         is_shaped = structure.is_shaped("hypotheses", REALS, (structure.rows, "M", 3, 3))
         if is_shaped and not 1 <= self.count <= MAX_HYPOTHESES:
-            self._faults.add(self.name, f"M = {self.count}: 1 to {MAX_HYPOTHESES} hypotheses an image are read")
+            self._faults.add(self.name, f"M = {self.count}: 1 to {MAX_HYPOTHESES} hypotheses per image are read")
             return False
         if self._has_weights:
             count: int | str = self.count if is_shaped else "M"
@@ -122,7 +126,7 @@ class HypothesesTrack:
             if self._has_weights:
                 weights = structure.read_reals("hypothesis_weights", start, stop)
                 good, used = self._check_weights(start, weights), weights > 0
-            good &= self._check_rotations(start, hypotheses, used, tolerance)
+            good &= self._check_rotations(start, hypotheses, used, tolerance)  # and rounding is taken out of them
             yield HypothesesBlock(
                 image_index[start:stop][good], hypotheses[good], None if weights is None else weights[good]
             )
@@ -140,6 +144,8 @@ class HypothesesTrack:
         self._faults.add_rows(self.name, "'hypotheses' has a NaN or an infinite entry", start, ~is_finite.all(axis=1))
         off = np.where(used & is_finite, _deviation(hypotheses), 0.0)
         is_off = (off > tolerance).any(axis=1)
+        rounded = (off > _EXACT) & (off <= tolerance)
+        hypotheses[rounded] = _projected(hypotheses[rounded])
 
         def describe(row: int) -> str:
             m = int(np.argmax(off[row]))
@@ -147,6 +153,7 @@ class HypothesesTrack:
             return f"hypothesis {m}, off by {off[row, m]:.2g}{', with determinant -1' if is_reflection else ''}"
 
         reason = f"'hypotheses' holds a matrix that is no rotation (R^T R = I and det R = 1 within {tolerance:g})"
+        reason += mend_of_matrices(float(off[is_off].max(initial=0.0)))
         self._faults.add_rows(self.name, reason, start, is_off, describe)
         return is_finite.all(axis=1) & ~is_off
 
@@ -258,8 +265,9 @@ class ClassifierTrack(_GridTrack):
         for rows, on_grid in self._sparse_blocks(8 * self._structure.facts("query_probability").shape[1]):
             probability = self._file.read("query_probability", rows.start, rows.stop)
             strange = ~((probability >= 0) & (probability <= 1)).all(axis=1)  # NaN is strange too
+            mend = _mend_of_probabilities(probability) if strange.any() else ""
             not_above = on_grid.any_in_row(~((on_grid.values > self.floor) & (on_grid.values <= 1)))
-            self._faults.add_rows(self.name, "'query_probability' is not in [0, 1]", rows.start, strange)
+            self._faults.add_rows(self.name, f"'query_probability' is not in [0, 1]{mend}", rows.start, strange)
             reason = f"{self.values!r} are not above the floor {self.floor:g} and at most 1"
             self._faults.add_rows(self.name, reason, rows.start, not_above)
             if (self._check_indices(rows.start, on_grid) & ~strange & ~not_above).all():
@@ -271,15 +279,38 @@ class DensityTrack(_GridTrack):
 
     name, offsets, indices, values = "density", "density_offsets", "density_indices", "density_log_probabilities"
 
+    @property
+    def density_floor(self) -> float | None:
+        """What the writer counts any smaller probability of a cell as; None where the file does not say."""
+        floor = self._file.attributes.get(DENSITY_FLOOR)
+        return None if floor is None else float(floor)
+
     def is_sound(self) -> bool:
         """Check what can be known without reading, and the offsets."""
-        return all([self._structure.has_attributes(GRID_ATTRIBUTES, self.name), self._are_rows_sound()])
+        is_sound = [
+            self._structure.has_attributes(GRID_ATTRIBUTES, self.name),
+            self._is_floor_sound(),
+            self._are_rows_sound(),
+        ]
+        return all(is_sound)
+
+    def _is_floor_sound(self) -> bool:
+        if DENSITY_FLOOR not in {**self._file.attributes, **self._file.odd_attributes}:
+            return True
+        if not self._structure.has_attributes({DENSITY_FLOOR: float}, self.name):
+            return False
+        floor = self._file.attributes[DENSITY_FLOOR]
+        if not 0.0 < floor < 1.0:
+            fault = f"attribute {DENSITY_FLOOR!r}: expected more than 0 and less than 1, found {floor!r}"
+            self._faults.add(self.name, fault)
+            return False
+        return True
 
     def blocks(self, image_index: Indices) -> Iterator[DensityBlock]:
         """Yield the images, but for blocks that have a fault."""
         for rows, on_grid in self._sparse_blocks(row_bytes=8):
             strange = on_grid.any_in_row(~((on_grid.values >= _LEAST_LOG) & (on_grid.values <= 0)))
-            reason = f"{self.values!r} are not in [{_LEAST_LOG:g}, 0]"
+            reason = f"{self.values!r} are not in [{_LEAST_LOG:g}, 0]{_mend_of_logs(on_grid.values)}"
             self._faults.add_rows(self.name, reason, rows.start, strange)
             good = self._check_indices(rows.start, on_grid) & ~strange
             if (self._check_mass(rows.start, on_grid, good) & good).all():
@@ -293,8 +324,38 @@ class DensityTrack(_GridTrack):
         lists_all = np.diff(on_grid.offsets) == grid_size(self.grid_level)
         is_off = good & np.where(lists_all, np.abs(mass - 1.0) > _ALL_LISTED, mass >= 1.0)
         reason = "the listed cells must hold less than 1, so that something is left for the others (all listed: 1)"
+        reason += "; subtract each image's scipy.special.logsumexp over the whole grid"
         self._faults.add_rows(self.name, reason, start, is_off, lambda row: f"they hold {mass[row]:.9g}")
         return ~is_off
+
+
+def _mend_of_probabilities(values: npt.NDArray[Any]) -> str:
+    """Return what to do where values are no probabilities: they may be logits, or off by rounding."""
+    if not np.isfinite(values).all():
+        return ""
+    if values.min() < -_ROUNDED or values.max() > 1.0 + _ROUNDED:
+        return "; logits become probabilities by 1 / (1 + np.exp(-x))"
+    return "; write np.clip(p, 0, 1)"
+
+
+def _mend_of_logs(values: npt.NDArray[Any]) -> str:
+    """Return what to do where values are no logarithms of probabilities: they may be probabilities, or of a volume."""
+    if not (values > 0).any():
+        return "" if np.isfinite(values).all() else "; leave out the cells whose probability is 0"
+    if (values >= 0).all() and (values <= 1).all():
+        return "; these look like probabilities: write np.log(p), without the cells where p is 0"
+    if values.max() <= _ROUNDED:
+        return "; write np.minimum(log_p, 0)"
+    return "; of logarithms of a density, or of logits, subtract each image's scipy.special.logsumexp over the grid"
+
+
+def _projected(R: Rotations) -> Rotations:
+    """Return the rotations nearest to (n, 3, 3) matrices close to rotations, by a step of Newton's for R^T R = I.
+
+    What was off by e before is off by e^2 after: of 1e-4, which is the most that is read, 1e-8.
+    """
+    nearest: Rotations = R @ (3.0 * np.eye(3) - np.swapaxes(R, -1, -2) @ R) / 2.0
+    return nearest
 
 
 def _deviation(R: Rotations) -> npt.NDArray[np.float64]:

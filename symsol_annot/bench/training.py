@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -16,14 +17,15 @@ from symsol_annot.bench.devices import choose_device, full_precision, has_bfloat
 from symsol_annot.bench.first_stage import FirstStage
 from symsol_annot.bench.learners import learner_of
 from symsol_annot.bench.pretraining import best_network, trained_networks
-from symsol_annot.bench.recipe import ClassifierRecipe, Recipe
+from symsol_annot.bench.recipe import MAX_EPOCHS, ClassifierRecipe, Recipe
 from symsol_annot.bench.schedules import ScheduledValues, scheduled_values_at
 from symsol_annot.bench.training_data import Batch, decoded, generator, training_data
 from symsol_annot.bench.training_plots import plot_curve
 from symsol_annot.dataset import Dataset, Labels
 from symsol_annot.errors import NotAnnotatedError, SettingsError, TrainingError, bulleted
-from symsol_annot.files import file_sha256
 from symsol_annot.locks import held_folder
+from symsol_annot.names import METHOD_NAME_RULE, is_method_name
+from symsol_annot.reading import file_sha256
 
 OnStart = Callable[[TrainingRecord, int], object]
 OnImages = Callable[[int], object]
@@ -68,13 +70,14 @@ def train(
         dataset: the train split.
         out: the checkpoint's folder.
         options: epochs, seed, device.
-        name: of the recipe.
+        name: of the recipe, by the rule for a method's; "" where it has none.
         on_start: told what is there already, and how many images an epoch learns from.
         on_images: told how many more images were learnt from.
         on_epoch: told of each epoch, once it is kept.
 
     Raises:
-        SettingsError: validation images that leave none, or a device that is not here.
+        SettingsError: validation images that leave none, a device that is not here, or epochs, a seed or a name that
+            no checkpoint can hold.
         NotAnnotatedError: validation images, or hard negatives, without symmetry sets.
         TrainingError: a loss that is not finite, a GPU's memory that is too small, or a folder of another training.
         WeightsError: first weights that cannot be had, or a damaged checkpoint.
@@ -100,19 +103,20 @@ class _Run:
     ) -> None:
         recipe = record.recipe
         self.record, self._out, self._device = record, out, device
-        is_begun = (out / checkpoints.STATE).exists()
-        if is_begun:
-            _refuse_other(out, record)
-        first_file, pretrained = (None, None) if is_begun else _start_of(record, out, options)
+        state = checkpoints.read_checkpoint_file(out / checkpoints.STATE) if _is_begun(out) else None
+        if state:
+            _refuse_other(out, state[0], record)
+        first_file, pretrained = (None, None) if state else _start_of(record, out, options)
         model = checkpoints.new_model(recipe, pretrained, record.seed)
         if first_file is not None:
             model.first_stage.load_hypothesis_network(first_file)
         self._model = laid_out_for(device, model)
         self._learner = learner_of(recipe, model, dataset.symmetry_group)
         self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rates[0], fused=True)
-        if is_begun:
-            checkpoints.restore(out, model, self._optimizer)
-            self.record = replace(checkpoints.read_record(out / checkpoints.STATE), software=record.software)
+        if state:
+            checkpoints.restore(out / checkpoints.STATE, state[1].tensors, model, self._optimizer)
+            self.record = replace(state[0], software=record.software)
+            del state  # as large as model and optimiser
             self._publish()
         elif first_file is not None:
             self.record = replace(record, first_stage=f"{first_file.parent.name}, sha256 {file_sha256(first_file)}")
@@ -217,8 +221,12 @@ class _Run:
 
 def _record(recipe: Recipe, dataset: Dataset, options: Options, device: torch.device, name: str) -> TrainingRecord:
     epochs = recipe.epochs if options.epochs is None else options.epochs
-    if epochs < 1:
-        raise SettingsError(f"epochs: expected 1 or more, found {epochs}")
+    if not 1 <= epochs <= MAX_EPOCHS:
+        raise SettingsError(f"epochs: expected 1 to {MAX_EPOCHS}, found {epochs}")
+    if not 0 <= options.seed <= checkpoints.MAX_SEED:
+        raise SettingsError(f"seed: expected 0 to {checkpoints.MAX_SEED}, found {options.seed}")
+    if name and not is_method_name(name):
+        raise SettingsError(f"name: expected {METHOD_NAME_RULE}, found {name!r}")
     return TrainingRecord(
         name=name,
         recipe=recipe,
@@ -260,8 +268,12 @@ def _needs_rejected(recipe: Recipe) -> bool:
     return isinstance(recipe, ClassifierRecipe) and recipe.hard_negatives > 0
 
 
-def _refuse_other(out: Path, record: TrainingRecord) -> None:
-    there = checkpoints.read_record(out / checkpoints.STATE)
+def _is_begun(out: Path) -> bool:
+    """Tell whether a folder holds something under the name of a state: what it is, shows when it is opened."""
+    return os.path.lexists(out / checkpoints.STATE)
+
+
+def _refuse_other(out: Path, there: TrainingRecord, record: TrainingRecord) -> None:
     differences = there.differences(record)
     if differences:
         raise TrainingError(

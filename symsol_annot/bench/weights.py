@@ -1,61 +1,49 @@
 """Files of weights: read without running anything in them, and checked against the model that is to take them."""
 
-import pickle
-import struct
+import os
+import subprocess
 import sys
-import warnings
 from collections.abc import Iterable, Mapping
 from http.client import HTTPException
 from pathlib import Path
-from typing import TypeAlias
 
 import safetensors.torch
 import torch
 from torch import nn
 
+from symsol_annot.bench.pickle_child import TENSORS
+from symsol_annot.bench.safetensors_file import Content, Weights, parse_content, read_content
 from symsol_annot.errors import WeightsError, bulleted, first_of
-from symsol_annot.files import file_sha256, write_atomically
-
-Weights: TypeAlias = dict[str, torch.Tensor]
+from symsol_annot.files import write_atomically
+from symsol_annot.reading import file_sha256, open_regular
 
 # ImageNet, 69.8% top-1, the weights that the thesis begins with; the name ends in the file's SHA-256.
 IMAGENET_URL = "https://download.pytorch.org/models/resnet18-f37072fd.pth"
 _NAMES_SHOWN = 3
-_DAMAGED = (  # what torch.load raises on bytes that are not its own
-    *(pickle.UnpicklingError, EOFError, RuntimeError, ValueError, LookupError, TypeError, AttributeError),
-    *(AssertionError, ArithmeticError, ImportError, MemoryError, struct.error, safetensors.SafetensorError),
-)
+_CHILD = Path(__file__).with_name("pickle_child.py")
+_PICKLE_SECONDS = 8.0  # of processor time; torchvision's file takes 0.1
+_PICKLE_BYTES = 2**27  # of all tensors; torchvision's have 47 MB
+_PICKLE_MEMORY_BYTES = 6 * _PICKLE_BYTES  # what is read, a copy of it, and the answer
+_PICKLE_ADVICE = "get the file again, or save the model's state_dict() alone"
 
 
 def read_weights(path: Path) -> Weights:
     """Return the tensors of a file by their names, on the CPU; code in the file is never run.
 
     Args:
-        path: a .safetensors file, or what torch.save made of a state dict.
+        path: a .safetensors file, or what torch.save made of a state dict, which a process with limits reads.
 
     Raises:
         WeightsError: there is no such file, it is damaged, or holds something else.
     """
-    if not path.is_file():
-        raise WeightsError(f"{path}: there is no such file of weights; check the path")
     try:
-        content = safetensors.torch.load_file(path) if path.suffix == ".safetensors" else _unpickled_tensors(path)
+        return read_content(path).tensors if path.suffix == ".safetensors" else _unpickled(path).tensors
+    except FileNotFoundError:
+        raise WeightsError(f"{path}: there is no such file of weights; check the path") from None
     except OSError as error:
         raise WeightsError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except _DAMAGED as error:
-        raise WeightsError(
-            f"{path}: is damaged ({type(error).__name__}), or holds more than tensors and their names, which is not "
-            "read; get the file again, or save the model's state_dict() alone"
-        ) from None
-    if not isinstance(content, Mapping):
-        raise WeightsError(f"{path}: expected tensors by their names, a state dict, found {type(content).__name__}")
-    strange = [f"{name} ({type(value).__name__})" for name, value in content.items() if not _is_weight(name, value)]
-    if strange:
-        raise WeightsError(
-            f"{path}: expected names and tensors alone, found {first_of(strange, _NAMES_SHOWN)}; "
-            "save the model's state_dict() alone"
-        )
-    return dict(content)
+    except ValueError as error:
+        raise WeightsError(f"{path}: is damaged, or no file of weights ({error}); get the file again") from None
 
 
 def write_weights(path: Path, model: nn.Module) -> None:
@@ -127,16 +115,31 @@ def imagenet_file() -> Path:
     return path
 
 
-def _unpickled_tensors(path: Path) -> object:
-    with warnings.catch_warnings():  # of the pickle's protocol: it can be read, or is an error
-        warnings.simplefilter("ignore")
-        return torch.load(path, map_location="cpu", weights_only=True)
-
-
-def _is_weight(name: object, value: object) -> bool:
-    if not isinstance(name, str) or not isinstance(value, torch.Tensor):
-        return False
-    return value.layout == torch.strided and value.device.type == "cpu" and not value.is_quantized
+def _unpickled(path: Path) -> Content:
+    """Return what a file of torch.save holds, as the process says that reads it."""
+    descriptor = open_regular(path)
+    try:
+        if os.fstat(descriptor).st_size > 2 * _PICKLE_BYTES:
+            raise ValueError(f"it has more than {2 * _PICKLE_BYTES:,} bytes")
+        limits = map(str, (_PICKLE_SECONDS, _PICKLE_BYTES, _PICKLE_MEMORY_BYTES))
+        child = subprocess.run(
+            [sys.executable, "-P", str(_CHILD), *limits],
+            stdin=descriptor,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is this process's to handle
+            check=False,
+        )
+    finally:
+        os.close(descriptor)
+    if child.returncode != 0 or not child.stdout:
+        raise WeightsError(
+            f"{path}: is damaged: reading it took more than {_PICKLE_SECONDS:g} s or more memory than weights do; "
+            f"{_PICKLE_ADVICE}"
+        )
+    if child.stdout[:1] != TENSORS:
+        raise WeightsError(f"{path}: {child.stdout[1:].decode()}; {_PICKLE_ADVICE}")
+    return parse_content(child.stdout[1:])
 
 
 def _kind(tensor: torch.Tensor) -> str:

@@ -24,15 +24,6 @@ def write_script(path: Path, key: str, document: Document) -> None:
     path.write_text(f"{_opening(key)}{text});\n", encoding="ascii")
 
 
-def delivers(path: Path, key: str) -> bool:
-    """Tell whether a file is there that was written as a script for a key."""
-    if not path.is_file():
-        return False
-    opening = _opening(key).encode("ascii")
-    with path.open("rb") as file:
-        return file.read(len(opening)) == opening
-
-
 def packed(values: npt.ArrayLike, dtype: str) -> Document:
     """Return an array as a document: type and bytes, little-endian, the last axis fastest.
 

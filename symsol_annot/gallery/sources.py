@@ -8,7 +8,8 @@ from pathlib import Path
 from symsol_annot.bench.truth import Truth, truth_of
 from symsol_annot.dataset import Dataset, load
 from symsol_annot.errors import DataError
-from symsol_annot.manifest import SPLITS, read_manifest
+from symsol_annot.manifest import read_manifest
+from symsol_annot.names import SPLITS
 from symsol_annot.set_folders import set_folders
 
 _NOT_IN_FILE_NAMES = re.compile(r"[^A-Za-z0-9._-]+")

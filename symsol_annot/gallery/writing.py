@@ -2,13 +2,14 @@
 
 index.html, assets/             the page, plotly's bundle
 data/index.js                   what there is: sets, runs, and a column a filter
+data/SHA256SUMS                 the other files, so that the next gallery replaces nothing but this one
 sets/00-cylO-test/00003/        images 300 to 399: labels.js, a run-0.js a run, image-000300.png, ..
 sets/00-cylO-test/redrawn.js    which candidates were drawn again; their pictures beside it
 """
 
 import contextlib
 import os
-import re
+import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import resources
@@ -18,33 +19,26 @@ import numpy as np
 
 from symsol_annot import __version__
 from symsol_annot.bench.predicted import WHAT, Predicted
-from symsol_annot.errors import OutputError, first_of
+from symsol_annot.checksums import changed_in, is_system_note, names_in, read_list, to_list
+from symsol_annot.errors import OutputError, first_of, output_errors
 from symsol_annot.extras import check_extra
-from symsol_annot.files import output_errors, replaced_folder
+from symsol_annot.files import replaced_folder
 from symsol_annot.gallery.redrawn import Drawing, Redrawer
 from symsol_annot.gallery.runs import Run
-from symsol_annot.gallery.scripts import Document, delivers, number, packed, write_script
+from symsol_annot.gallery.scripts import Document, number, packed, write_script
 from symsol_annot.gallery.sources import Source
 from symsol_annot.locks import held_folder
 from symsol_annot.plots import ID_COLOURS
 from symsol_annot.png import to_png
+from symsol_annot.reading import file_sha256
 from symsol_annot.so3 import rotation_to_quat_wxyz
 
 CHUNK_IMAGES = 100  # whose labels the page loads at once
 STRATUM_CODES = ("all", "hidden", "shown", "barely")  # "all" where there is no marking
-_INDEX = Path("data", "index.js")  # by which a gallery is known as one
+_INDEX = Path("data", "index.js")
 _INDEX_KEY = "index"
-_OWN_PATH = re.compile(  # of a gallery's files, and of its folders with a slash at the end
-    r"""index\.html
-    | assets/ ([a-z.]+\.(js|css))?
-    | data/ (index\.js)?
-    | sets/ (\d{2,}-[A-Za-z0-9._-]+/
-        ( redrawn\.js
-        | redrawn/ (\d{6,}-\d{4,}\.png)?
-        | \d{5,}/ (labels\.js | run-\d+\.js | (image|segmentation)-\d{6,}\.png)?
-        )?)?""",
-    re.VERBOSE,
-)
+_LIST = Path("data", "SHA256SUMS")
+_MADE_BY = "symsol-annot gallery"
 _LISTED_NAMES = 5
 _PLOTLY = "plotly.min.js"
 _DRAWS_NONE = partial(Redrawer, count=0)
@@ -74,7 +68,7 @@ def write_gallery(
     """
     check_extra("gallery", "the gallery")
     out = Path(os.path.realpath(out))
-    _refuse_other_folder(out)
+    _notes_in(out)  # refuses another folder before anything is made
     with held_folder(out), replaced_folder(out) as new:
         redrawn = [
             _write_source(
@@ -85,24 +79,38 @@ def write_gallery(
         _write_page(new)
         (new / _INDEX).parent.mkdir()
         write_script(new / _INDEX, _INDEX_KEY, _index(sources, runs, redrawn))
+        (new / _LIST).write_bytes(to_list({name: file_sha256(new / name) for name in names_in(new)}, _MADE_BY))
+        for name in _notes_in(out):  # looked at again: it is about to be removed
+            (new / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(out / name, new / name, follow_symlinks=False)
 
 
-def _refuse_other_folder(out: Path) -> None:
-    """Refuse a folder that holds anything but a gallery, for all of it is about to be removed."""
+def _notes_in(out: Path) -> set[str]:
+    """Return what the system keeps in a folder beside a gallery; refuse one that holds anything else.
+
+    Raises:
+        OutputError: the folder is to be removed, and holds what this program did not make, or what was changed since.
+    """
     with output_errors(out):
-        is_gallery = delivers(out / _INDEX, _INDEX_KEY)
-        there = (_relative(path, out) for path in out.glob("**/*" if is_gallery else "*"))
-        strangers = sorted(name for name in there if not (is_gallery and _OWN_PATH.fullmatch(name)))
-    if strangers:
+        if not out.exists():
+            return set()
+        there = names_in(out)
+        notes = {name for name in there if is_system_note(name)}
+        listed = read_list(out / _LIST, _MADE_BY)
+        own = set() if listed is None else {*listed, _LIST.as_posix()}
+        _refuse(out, there - notes - own, "holds what is no part of a gallery")
+        _refuse(
+            out, changed_in(out, listed or {}), "holds files of a gallery that were changed since they were written"
+        )
+        return notes
+
+
+def _refuse(out: Path, names: set[str], what: str) -> None:
+    if names:
         raise OutputError(
-            f"{out}: holds what is no part of a gallery: {first_of(strangers, _LISTED_NAMES)}. Nothing was touched; "
+            f"{out}: {what}: {first_of(sorted(names), _LISTED_NAMES)}. Nothing was touched; "
             "move it elsewhere, or choose another folder with --out"
         )
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """Return a path within a folder, with a slash at the end where it is a folder itself and no link to one."""
-    return path.relative_to(folder).as_posix() + ("/" if path.is_dir() and not path.is_symlink() else "")
 
 
 def _write_page(folder: Path) -> None:

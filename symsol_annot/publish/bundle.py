@@ -6,22 +6,18 @@ after an interruption what is this program's own and may be kept, and what is so
 
 import hashlib
 import os
-import re
 from collections.abc import Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
-from symsol_annot.errors import DataError, OutputError, first_of
-from symsol_annot.files import (
-    PARTIAL_SUFFIX,
-    file_sha256,
-    make_folder,
-    output_errors,
-    remove_partial_files,
-    write_atomically,
-)
+from symsol_annot.checksums import changed_in, is_hidden, is_system_note, names_in, read_list, to_list
+from symsol_annot.errors import DataError, OutputError, first_of, output_errors
+from symsol_annot.files import make_folder, write_atomically
+from symsol_annot.reading import file_sha256
+from symsol_annot.scratch import sweep
 
 CHECKSUMS_NAME = "SHA256SUMS"
 _UNFINISHED_NAME = "SHA256SUMS.unfinished"
+_MADE_BY = "symsol-annot publish"
 _LISTED_NAMES = 5
 
 
@@ -80,12 +76,17 @@ class Bundle:
             return False
         make_folder((self.folder / name).parent)
         with output_errors(self.folder):
-            (self.folder / name).unlink(missing_ok=True)
+            self._remove_own(name)
             self._sha256[name] = sha256
-            lines = "".join(f"{digest}  {listed}\n" for listed, digest in sorted(self._sha256.items()))
-            write_atomically(self.folder / _UNFINISHED_NAME, lines.encode())
-            (self.folder / CHECKSUMS_NAME).unlink(missing_ok=True)
+            write_atomically(self.folder / _UNFINISHED_NAME, to_list(self._sha256, _MADE_BY))
+            (self.folder / CHECKSUMS_NAME).unlink(missing_ok=True)  # `open_bundle` found it to be this program's
         return True
+
+    def _remove_own(self, name: str) -> None:
+        """Remove a file of the bundle that is about to be written again, unless somebody changed it meanwhile."""
+        if name in self._sha256 and changed_in(self.folder, {name: self._sha256[name]}):
+            _refuse(self.folder, {name}, "holds a file that was changed while this command ran")
+        (self.folder / name).unlink(missing_ok=True)
 
 
 def open_bundle(folder: Path, expected: Mapping[str, str | None]) -> Bundle:
@@ -99,41 +100,30 @@ def open_bundle(folder: Path, expected: Mapping[str, str | None]) -> Bundle:
         OutputError: it holds anything else, or files of the bundle that were changed; nothing was touched.
     """
     with output_errors(folder):
+        for inner in {folder, *((folder / name).parent for name in expected)}:
+            sweep(inner)
         listed = _read_checksums(folder)
-        there = _files_in(folder)
+        there = {name for name in names_in(folder) if not (is_hidden(name) or is_system_note(name) or name[-1] == "/")}
+        there -= {CHECKSUMS_NAME, _UNFINISHED_NAME}
         strangers = there if listed is None else (there | listed.keys()) - expected.keys()
         _refuse(folder, strangers, "holds files that are no part of this bundle")
+        _refuse(folder, {name for name in there if (folder / name).is_symlink()}, "holds links in place of files")
         sha256 = {name: file_sha256(folder / name) for name in there}
         others = {name for name, digest in sha256.items() if expected[name] not in (None, digest)}
         _refuse(folder, others, "holds the files of another set, or damaged ones")
         changed = {name for name, digest in sha256.items() if (listed or {}).get(name) != digest}
         _refuse(folder, changed, "holds files that were changed since they were made")
-        for inner in {folder, *((folder / name).parent for name in expected)}:
-            remove_partial_files(inner)
     return Bundle(folder, sha256)
 
 
-def _files_in(folder: Path) -> set[str]:
-    """Return the names of all files but the list of checksums and half-written ones; a link is a name, too.
-
-    What is hidden, at any depth, is left out: notes of programs that upload or show it (.git, .DS_Store).
-    """
-    found = [path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()]
-    names = {path.relative_to(folder).as_posix() for path in found if not path.name.endswith(PARTIAL_SUFFIX)}
-    shown = {name for name in names if not any(part.startswith(".") for part in PurePosixPath(name).parts)}
-    return shown - {CHECKSUMS_NAME, _UNFINISHED_NAME}
-
-
 def _read_checksums(folder: Path) -> dict[str, str] | None:
-    """Return name to SHA-256 of the list in a folder, or None without one."""
+    """Return name to SHA-256 of the list in a folder, or None without one; refuse a list that is somebody else's."""
     for name in (_UNFINISHED_NAME, CHECKSUMS_NAME):
-        path = folder / name
-        if path.is_file() and not path.is_symlink():
-            lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-            found = [re.fullmatch(r"([0-9a-f]{64})  (.+)", line) for line in lines]
-            if not all(found):
-                _refuse(folder, {name}, "holds a list of checksums that is somebody else's, or damaged")
-            return {match[2]: match[1] for match in found if match}
+        listed = read_list(folder / name, _MADE_BY)
+        if listed is None and os.path.lexists(folder / name):
+            _refuse(folder, {name}, "holds a list of checksums that is somebody else's, or damaged")
+        if listed is not None:
+            return listed
     return None
 
 

@@ -7,6 +7,7 @@ from string import Template
 from typing import TypeAlias
 
 from symsol_annot import __version__
+from symsol_annot.markdown import escaped, fenced
 from symsol_annot.publish.about import LICENCE, LICENCE_URL, About
 from symsol_annot.publish.citation import bibtex
 from symsol_annot.publish.croissant import GROUPS_NAME
@@ -32,7 +33,7 @@ def card(about: About, sets: tuple[PublishedSet, ...], figures: Figures) -> str:
     annotated = [(one, split) for one, split in pairs if one.manifest.is_annotated(split)]
     first, split = (annotated or pairs)[0]
     page = Template(template).substitute(
-        title=about.title,
+        title=escaped(about.title),
         software=__version__,
         licence=LICENCE,
         licence_url=LICENCE_URL,
@@ -43,7 +44,7 @@ def card(about: About, sets: tuple[PublishedSet, ...], figures: Figures) -> str:
         measured=_measured(sets, figures),
         barely=_barely_in_words(figures),
         tolerance=_tolerance_in_words(figures),
-        bibtex=bibtex(about),
+        bibtex=fenced(bibtex(about), "bibtex"),
     )
     return f"---\n{_front_matter(about, sets, figures)}---\n\n{page}"
 

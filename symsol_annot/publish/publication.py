@@ -5,7 +5,6 @@ from pathlib import Path
 
 from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, bulleted
-from symsol_annot.files import file_sha256
 from symsol_annot.locks import held_folder
 from symsol_annot.manifest import MANIFEST_NAME
 from symsol_annot.publish.about import About
@@ -16,6 +15,7 @@ from symsol_annot.publish.croissant import CROISSANT_NAME, GROUPS_NAME, croissan
 from symsol_annot.publish.figures import measure
 from symsol_annot.publish.parquet import groups_to_parquet, is_made_from, samples_to_parquet
 from symsol_annot.publish.sets import PublishedSet
+from symsol_annot.reading import file_sha256
 from symsol_annot.so3 import Rotations
 from symsol_annot.verify import verify
 

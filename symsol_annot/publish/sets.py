@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from symsol_annot.errors import DataError, bulleted
-from symsol_annot.manifest import MANIFEST_NAME, SPLITS, Manifest, ShardEntry, read_manifest
+from symsol_annot.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest
+from symsol_annot.names import SPLITS
 from symsol_annot.set_folders import set_folders
 
 GROUPS_CONFIG = "symmetry_groups"  # beside the sets in the Parquet mirror

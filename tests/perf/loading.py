@@ -22,7 +22,7 @@ from PIL import Image
 from sets import peak_mib
 
 from symsol_annot import load
-from symsol_annot.chunks import ByteFile, Rows
+from symsol_annot.shards import opened_shard
 
 PNG = "PNG folder, Pillow"
 _MEETING = None  # where a process waits for the others
@@ -43,7 +43,7 @@ def measure(folder, rounds=9, split="test"):
             "plain h5py": files.sample,
             PNG: twin.sample,
             "raw chunks, not inflated": files.raw,
-            "chunks.Rows, image alone": files.image_by_rows,
+            "StoredArray, image alone": files.image_by_bytes,
             "plain h5py, image alone": files.image,
             f"{PNG}, image alone": twin.image,
         }
@@ -135,8 +135,8 @@ class _OpenFiles:
         self.paths = sorted(folder.glob(f"{split}-*.h5"))
         self._files = [h5py.File(path) for path in self.paths]
         self._place = [(f, row) for f in self._files for row in range(len(f["image"]))]
-        rows = {f: (Rows(f["image"]), ByteFile(f.filename)) for f in self._files}
-        self._rows = [(*rows[f], row) for f, row in self._place]
+        shards = {f: opened_shard(Path(f.filename)) for f in self._files}
+        self._rows = [(shards[f].arrays["image"], shards[f].file, row) for f, row in self._place]
         self._chunks = [self._chunks_of(f, row) for f, row in self._place]
 
     def _chunks_of(self, f, row):
@@ -152,9 +152,9 @@ class _OpenFiles:
         mask = f["symmetry_mask"][row] if "symmetry_mask" in f else None
         return f["image"][row], f["segmentation"][row], f["rotation"][row], mask
 
-    def image_by_rows(self, index):
-        rows, file, row = self._rows[index]
-        return rows.read(row, file)
+    def image_by_bytes(self, index):
+        array, file, row = self._rows[index]
+        return array.row(row, file)
 
     def raw(self, index):
         descriptor, chunks = self._chunks[index]
@@ -166,7 +166,7 @@ def _check_that_all_read_the_same(dataset, files, twin):
         fields = (sample.image, sample.segmentation, sample.rotation, sample.symmetry_mask)
         for other in (files.sample(index), twin.sample(index)):
             assert all(np.array_equal(ours, theirs) for ours, theirs in zip(fields, other, strict=True))
-        assert np.array_equal(files.image_by_rows(index), sample.image)
+        assert np.array_equal(files.image_by_bytes(index), sample.image)
         assert np.array_equal(files.image(index), twin.image(index))
 
 

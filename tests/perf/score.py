@@ -20,7 +20,6 @@ import torch
 from symsol_annot import load
 from symsol_annot.bench.averages import figures, merge
 from symsol_annot.bench.predictions import Predictions
-from symsol_annot.bench.sandbox import SandboxedFile
 from symsol_annot.bench.scorers import HypothesesScorer
 from symsol_annot.bench.scoring import table_of
 from symsol_annot.bench.submission import write_columns, write_hypotheses
@@ -29,6 +28,7 @@ from symsol_annot.executors import in_process
 from symsol_annot.generate import generate
 from symsol_annot.objects import load_object
 from symsol_annot.plan import SetPlan
+from symsol_annot.sandbox import SandboxedFile
 from symsol_annot.scene import Camera, RenderSettings, View
 from symsol_annot.so3 import uniform_rotations
 

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 RESULTS = Path(__file__).parents[2] / "build" / "soak.json"
-PARTS = ("kills", "folder_faults", "worker_faults", "dask_faults", "flips", "sets")
+PARTS = ("kills", "folder_faults", "worker_faults", "dask_faults", "flips", "sets", "heap_damage")
 _WIDTHS = (36, 42, 7)
 
 
