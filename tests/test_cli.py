@@ -874,7 +874,7 @@ def test_ctrl_c_keeps_whole_shards_and_no_part_of_one(interrupted):
 
 @pytest.mark.blender
 def test_ctrl_c_ends_every_blender(interrupted):
-    assert interrupted.processes_before == 3  # the command and its two workers
+    assert interrupted.processes_before == 4  # the command, its two workers, and what asks HDF5 about shards
     assert interrupted.processes_after == 0
 
 
