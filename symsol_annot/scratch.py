@@ -56,7 +56,9 @@ class Scratch(Closing):
             _write_mark(self.path)
         except OSError:
             self._let_go()
-            shutil.rmtree(self.path, ignore_errors=True)  # made a moment ago, and by nobody else
+            with contextlib.suppress(OSError):  # made a moment ago, and by nobody else
+                (self.path / MARK_NAME).unlink(missing_ok=True)
+                self.path.rmdir()  # which needs no descriptor, of which there may be none left
             raise
 
     def close(self) -> None:

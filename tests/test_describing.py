@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from bench_sets import python
 from conftest import make_set
+from describer_workers import opens, pid_of, put_pid
 from tampering import descriptors
 
 from symsol_annot import load, plan, sandbox, shards
 from symsol_annot.errors import DataError, PredictionsError
-from symsol_annot.shards import open_shard
 
 CASES = Path(__file__).parent / "attack" / "cases"
 HANGING, CRASHING = "hung 01398", "crashed 00651"
@@ -55,10 +55,6 @@ def damaged(path, case):
     return path
 
 
-def pid_of(describer):
-    return describer._process.pid
-
-
 def is_running(pid):
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
@@ -71,11 +67,6 @@ def wait_for_end(pid):
     while is_running(pid) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not is_running(pid)
-
-
-def opens(path):
-    with open_shard(path) as shard:
-        return shard.read("rotation").shape
 
 
 # It serves one shard after the other
@@ -178,21 +169,17 @@ def test_process_that_is_forked_while_a_thread_describes_has_a_describer_of_its_
     assert opens(many_shards[2]) == (16, 3, 3)
 
 
-def put_pid(path, queue):
-    opens(path)
-    queue.put(pid_of(shards._DESCRIBER))
-
-
 @FORKS
 def test_forked_and_spawned_workers_have_processes_of_their_own_which_end_with_them(many_shards, describer):
     opens(many_shards[0])
     pids = [pid_of(describer)]
     for method in ("fork", "fork", "spawn"):
         context = multiprocessing.get_context(method)
-        queue = context.SimpleQueue()
-        worker = context.Process(target=put_pid, args=(many_shards[1], queue))
+        receiving, sending = context.Pipe(duplex=False)
+        worker = context.Process(target=put_pid, args=(many_shards[1], sending))
         worker.start()
-        pids.append(queue.get())
+        sending.close()  # so that a worker that dies first is an end of file, and is not waited for
+        pids.append(receiving.recv())
         worker.join(timeout=60)
         assert worker.exitcode == 0
         wait_for_end(pids[-1])
