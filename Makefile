@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 TEST_WORKERS ?= 2
 
 # The editable install links the files it finds, so it is made again when a file is added or removed.
-SOURCES := $(sort $(wildcard symsol_annot/*.py symsol_annot/*/*.py cli/*.py blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/bench/recipes/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
+SOURCES := $(sort $(wildcard $(shell find symsol_annot cli -name '*.py') blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/bench/models/recipes/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
 INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
 .PHONY: demo test check lint docs format soak perf attack assets sample release clean
@@ -34,13 +34,13 @@ docs: $(INSTALLED)  ## the site, in build/site; a broken link is an error
 	$(BIN)/mkdocs build --strict
 
 soak: $(INSTALLED)  ## long proofs on real renders and real processes, in build/soak.json; as root, about 20 minutes
-	$(BIN)/python tests/soak
+	$(BIN)/python tools/soak
 
 perf: $(INSTALLED)  ## speed and memory, beside the common recipe, drawing every candidate, and PNG files
-	$(BIN)/python tests/perf
+	$(BIN)/python tools/perf
 
 attack: $(INSTALLED)  ## 13,000 damaged and hostile files for every reader, in build/attack.json; half an hour
-	$(BIN)/python tests/attack
+	$(BIN)/python tools/attack
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
@@ -55,7 +55,7 @@ sample: $(INSTALLED)  ## render the set inside the package again; seed 45 has a 
 	mv build/sample $(SAMPLE)
 
 release: $(INSTALLED)  ## build wheel and sdist in dist/, and try them in empty environments: each Python, each extra
-	$(BIN)/python tests/release.py
+	$(BIN)/python tools/release.py
 
 assets: $(INSTALLED)  ## build the objects again
 	$(BIN)/python -m symsol_annot_assets.build --out blender_assets
@@ -68,6 +68,6 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
 		--editable '.[render,plot,publish,gallery,bench,cluster,docs,dev]' --config-settings editable_mode=strict
 	$(BIN)/symsol-annot doctor --install
-	$(BIN)/python tests/gallery_browser.py
+	$(BIN)/python tools/gallery_browser.py
 	rm -f $(VENV)/installed-*
 	touch $@

@@ -7,7 +7,7 @@ import click
 from symsol_annot_cli.parameters import example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot import doctor as examination
+from symsol_annot.rendering import doctor as examination
 
 
 @click.command(epilog=example("symsol-annot doctor --install"))

@@ -7,13 +7,13 @@ import click
 from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.extras import check_extra
 from symsol_annot.gallery.redrawn import Redrawer
 from symsol_annot.gallery.runs import read_runs
 from symsol_annot.gallery.sources import open_sources
 from symsol_annot.gallery.writing import write_gallery
-from symsol_annot.names import SPLITS
-from symsol_annot.objects import ObjectSpec
+from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.system.extras import check_extra
+from symsol_annot.system.text.names import SPLITS
 
 
 @click.command(

@@ -8,12 +8,12 @@ from symsol_annot_cli.parameters import example, progress_bar
 from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
-from symsol_annot.machine import cores
-from symsol_annot.manifest import Manifest
-from symsol_annot.names import SPLITS
-from symsol_annot.symsol_import import ImportedSet
-from symsol_annot.symsol_import import import_symsol as imported_sets
-from symsol_annot.symsol_zip import OBJECTS
+from symsol_annot.sets.manifest import Manifest
+from symsol_annot.symsol.importing import ImportedSet
+from symsol_annot.symsol.importing import import_symsol as imported_sets
+from symsol_annot.symsol.zip_reader import OBJECTS
+from symsol_annot.system.machine import cores
+from symsol_annot.system.text.names import SPLITS
 
 
 @click.command("import-symsol", epilog=example("symsol-annot import-symsol symsol_dataset.zip --out symsol"))

@@ -7,9 +7,9 @@ import click
 from symsol_annot_cli.parameters import SET_FOLDER, example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.manifest import read_manifest
-from symsol_annot.names import SPLITS
-from symsol_annot.statistics import SplitStatistics, sizes_in_words, split_statistics
+from symsol_annot.sets.manifest import read_manifest
+from symsol_annot.sets.statistics import SplitStatistics, sizes_in_words, split_statistics
+from symsol_annot.system.text.names import SPLITS
 
 
 @click.command(epilog=example("symsol-annot info data/cylO"))

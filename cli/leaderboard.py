@@ -7,10 +7,10 @@ import click
 from symsol_annot_cli.parameters import example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.leaderboard import read_leaderboard
-from symsol_annot.bench.leaderboard_page import to_markdown
+from symsol_annot.bench.leaderboard.page import to_markdown
+from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.errors import ScoresError
-from symsol_annot.files import write_atomically
+from symsol_annot.system.files import write_atomically
 
 
 @click.command(epilog=example("symsol-annot leaderboard docs/results/leaderboard --out docs/leaderboard.md"))

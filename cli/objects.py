@@ -4,7 +4,7 @@ import click
 from symsol_annot_cli.parameters import example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.objects import builtin_names, load_object
+from symsol_annot.objects.spec import builtin_names, load_object
 
 
 @click.command(epilog=example("symsol-annot objects"))

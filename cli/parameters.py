@@ -8,8 +8,8 @@ from click.shell_completion import CompletionItem
 from tqdm import tqdm
 
 from symsol_annot.errors import UnknownObjectError
-from symsol_annot.names import SPLITS
-from symsol_annot.objects import ObjectSpec, builtin_names, load_object
+from symsol_annot.objects.spec import ObjectSpec, builtin_names, load_object
+from symsol_annot.system.text.names import SPLITS
 
 
 class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the checker alone

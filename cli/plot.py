@@ -7,18 +7,18 @@ import click
 from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot import dataset
-from symsol_annot.bench import score_plots
-from symsol_annot.bench.format import TRACKS
-from symsol_annot.bench.predicted import predicted_rotations
-from symsol_annot.bench.predictions import open_predictions
-from symsol_annot.bench.report import STRATA
-from symsol_annot.bench.truth import find_set
-from symsol_annot.dataset import Dataset, Sample
-from symsol_annot.extras import check_extra
-from symsol_annot.plots import contact_sheet
-from symsol_annot.rotation_plots import KINDS, plot_sets
-from symsol_annot.so3 import Rotations
+from symsol_annot.bench.predictions.format import TRACKS
+from symsol_annot.bench.predictions.proposals import predicted_rotations
+from symsol_annot.bench.predictions.reader import open_predictions
+from symsol_annot.bench.predictions.truth import find_set
+from symsol_annot.bench.scoring import curves as score_plots
+from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.plotting.contact_sheet import contact_sheet
+from symsol_annot.plotting.rotations import KINDS, plot_sets
+from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets import dataset
+from symsol_annot.sets.dataset import Dataset, Sample
+from symsol_annot.system.extras import check_extra
 
 _OUT = click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="The picture: .png, .pdf or .svg."
@@ -103,8 +103,8 @@ def slice_(
     """Draw what classifiers say of the rotations that turn an image's own about one axis."""
     check_extra("bench", "plotting slices")
     check_extra("plot", "plotting")
-    from symsol_annot.bench import slice_plots  # noqa: PLC0415 - slow to import
-    from symsol_annot.bench.checkpoints import open_checkpoint  # noqa: PLC0415
+    from symsol_annot.bench.models.plots import slices as slice_plots  # noqa: PLC0415 - slow to import
+    from symsol_annot.bench.models.training.checkpoints import open_checkpoint  # noqa: PLC0415
 
     opened = [open_checkpoint(path) for path in checkpoints]
     samples = dataset.load(find_set(data, opened[0].record.object), split)
@@ -147,7 +147,7 @@ def losses(*, toy: bool, out: Path) -> None:
     """Draw the losses of the thesis: figures 4.5, A.1 and A.2 as curves, or figures 4.2 to 4.4 as a toy."""
     check_extra("bench", "plotting losses")
     check_extra("plot", "plotting")
-    from symsol_annot.bench import loss_plots  # noqa: PLC0415 - slow to import
+    from symsol_annot.bench.models.plots import losses as loss_plots  # noqa: PLC0415 - slow to import
 
     (loss_plots.plot_toys if toy else loss_plots.plot_curves)(out)
     say(out)

@@ -6,10 +6,10 @@ import click
 from symsol_annot_cli.parameters import DATA, SPLIT, example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot import dataset
-from symsol_annot.bench.truth import find_set
-from symsol_annot.extras import check_extra
-from symsol_annot.grid import STANDARD_LEVEL
+from symsol_annot.bench.predictions.truth import find_set
+from symsol_annot.rotations.grid import STANDARD_LEVEL
+from symsol_annot.sets import dataset
+from symsol_annot.system.extras import check_extra
 
 
 @click.command(epilog=example("symsol-annot predict runs/tetX-small-ewta --data data --out preds.h5"))
@@ -27,7 +27,8 @@ def predict(checkpoint: Path, data: Path, split: str, out: Path, device: str, me
     it; the answers of another checkpoint are refused.
     """
     check_extra("bench", "predicting")
-    from symsol_annot.bench import checkpoints, devices, inference  # noqa: PLC0415 - slow to import
+    from symsol_annot.bench.models import inference  # noqa: PLC0415 - slow to import
+    from symsol_annot.bench.models.training import checkpoints, devices  # noqa: PLC0415
 
     chosen = devices.choose_device(device)
     model = checkpoints.open_checkpoint(checkpoint)

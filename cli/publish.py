@@ -7,7 +7,7 @@ import click
 from symsol_annot_cli.parameters import SET_FOLDER, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.extras import check_extra
+from symsol_annot.system.extras import check_extra
 
 
 @click.command(epilog=example("symsol-annot publish data --out bundle"))

@@ -6,11 +6,11 @@ import click
 from symsol_annot_cli.parameters import SPLIT, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot import dataset
-from symsol_annot.bench import report
-from symsol_annot.bench.reference import ROWS, score_row
-from symsol_annot.files import make_folder, write_atomically
-from symsol_annot.scratch import Scratch, sweep, temporary_errors
+from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.reference import ROWS, score_row
+from symsol_annot.sets import dataset
+from symsol_annot.system.files import make_folder, write_atomically
+from symsol_annot.system.scratch import Scratch, sweep, temporary_errors
 
 
 @click.command(epilog=example("symsol-annot reference data/cylO data/tetX --row evenly-placed"))

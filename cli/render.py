@@ -9,19 +9,19 @@ from symsol_annot_cli.parameters import ObjectType, example
 from symsol_annot_cli.reporting import LOG_FORMATS, Tally, failures_in_words, reporter
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.blender_process import check_blender_installed
 from symsol_annot.errors import ClusterError
-from symsol_annot.executors import OpenExecutor, local_processes
-from symsol_annot.extras import check_extra
-from symsol_annot.generate import generate
-from symsol_annot.machine import cores
-from symsol_annot.manifest import ANNOTATE_CHOICES, MAX_SEED, Manifest
-from symsol_annot.names import SPLITS
-from symsol_annot.object_check import check_object
-from symsol_annot.objects import ObjectSpec
-from symsol_annot.plan import SetPlan
-from symsol_annot.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, RenderSettings
-from symsol_annot.shard_process import DEFAULT_LIMITS, Limits
+from symsol_annot.generation.executors import OpenExecutor, local_processes
+from symsol_annot.generation.generate import generate
+from symsol_annot.generation.process import DEFAULT_LIMITS, Limits
+from symsol_annot.objects.check import check_object
+from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.rendering.blender_process import check_blender_installed
+from symsol_annot.rendering.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, RenderSettings
+from symsol_annot.sets.manifest import ANNOTATE_CHOICES, MAX_SEED, Manifest
+from symsol_annot.sets.plan import SetPlan
+from symsol_annot.system.extras import check_extra
+from symsol_annot.system.machine import cores
+from symsol_annot.system.text.names import SPLITS
 
 _MIB = 2**20
 
@@ -137,8 +137,8 @@ def _executor(
         return partial(local_processes, workers=workers or cores(), limits=limits, exhaustive=exhaustive)
     check_extra("cluster", "a cluster")
     try:
-        from symsol_annot.cluster import DaskCluster  # noqa: PLC0415 - an extra, slow to import
-        from symsol_annot.cluster_address import address_in, is_unprotected  # noqa: PLC0415
+        from symsol_annot.generation.dask.address import address_in, is_unprotected  # noqa: PLC0415
+        from symsol_annot.generation.dask.executor import DaskCluster  # noqa: PLC0415 - an extra, slow to import
     except ValueError as error:  # Dask reads its configuration when it is imported
         raise ClusterError(f"Dask cannot be imported before its configuration is corrected: {error}") from None
 

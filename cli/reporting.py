@@ -13,7 +13,15 @@ from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
 from symsol_annot.errors import printable
-from symsol_annot.events import Event, ImagesMade, ShardBegunAgain, ShardFinished, Started, StrangersFound, WorkersGone
+from symsol_annot.generation.events import (
+    Event,
+    ImagesMade,
+    ShardBegunAgain,
+    ShardFinished,
+    Started,
+    StrangersFound,
+    WorkersGone,
+)
 
 LOG_FORMATS = ("text", "json")
 _JSON_SECONDS = 1.0  # between two lines of progress

@@ -6,11 +6,11 @@ import click
 from symsol_annot_cli.parameters import DATA, PREDICTIONS, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench import report
-from symsol_annot.bench.predictions import open_predictions
-from symsol_annot.bench.scoring import score as score_predictions
+from symsol_annot.bench.predictions.reader import open_predictions
+from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.scoring import score as score_predictions
 from symsol_annot.errors import printable
-from symsol_annot.files import write_atomically
+from symsol_annot.system.files import write_atomically
 
 
 @click.command(epilog=example("symsol-annot score preds.h5 --json scores.json"))

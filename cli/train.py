@@ -11,15 +11,15 @@ from symsol_annot_cli.parameters import DATA, example, progress_bar
 from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
-from symsol_annot import dataset
-from symsol_annot.bench.recipe import builtin_recipes, load_recipe
-from symsol_annot.bench.truth import find_set
+from symsol_annot.bench.models.recipe import builtin_recipes, load_recipe
+from symsol_annot.bench.predictions.truth import find_set
 from symsol_annot.errors import DataError, printable
-from symsol_annot.extras import check_extra
-from symsol_annot.set_folders import set_folders
+from symsol_annot.sets import dataset
+from symsol_annot.sets.folders import set_folders
+from symsol_annot.system.extras import check_extra
 
 if TYPE_CHECKING:
-    from symsol_annot.bench.checkpoints import TrainingRecord
+    from symsol_annot.bench.models.training.checkpoints import TrainingRecord
 
 
 def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  # noqa: FBT001 - as click calls it
@@ -74,7 +74,7 @@ def train(
         if validation_images is not None:
             wanted = replace(wanted, validation_images=validation_images)
         place = out or Path("runs") / f"{images.object}-{file.name}"
-        from symsol_annot.bench import training  # noqa: PLC0415 - slow to import
+        from symsol_annot.bench.models.training import training  # noqa: PLC0415 - slow to import
 
         options = training.Options(epochs, seed, device, pretrained, is_compiled)
         with _Progress(place) as progress:

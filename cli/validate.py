@@ -7,7 +7,7 @@ import click
 from symsol_annot_cli.parameters import DATA, PREDICTIONS, example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.predictions import open_predictions
+from symsol_annot.bench.predictions.reader import open_predictions
 from symsol_annot.errors import SymsolError
 
 

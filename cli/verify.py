@@ -10,19 +10,19 @@ from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example, progres
 from symsol_annot_cli.reporting import failures_in_words, reporter
 from symsol_annot_cli.terminal import say
 
-from symsol_annot import dataset
-from symsol_annot.audit import AuditReport, audit
-from symsol_annot.blender_process import check_blender_installed
 from symsol_annot.errors import DataError
-from symsol_annot.executors import local_processes
-from symsol_annot.generate import damaged_shards, generate
-from symsol_annot.machine import cores
-from symsol_annot.manifest import read_manifest
-from symsol_annot.objects import ObjectSpec
-from symsol_annot.origin import plan_behind
-from symsol_annot.render_process import RenderProcess
-from symsol_annot.set_folders import set_folders
-from symsol_annot.verify import verify as find_faults
+from symsol_annot.generation.audit import AuditReport, audit
+from symsol_annot.generation.executors import local_processes
+from symsol_annot.generation.generate import damaged_shards, generate
+from symsol_annot.generation.origin import plan_behind
+from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.rendering.blender_process import check_blender_installed
+from symsol_annot.rendering.render_process import RenderProcess
+from symsol_annot.sets import dataset
+from symsol_annot.sets.folders import set_folders
+from symsol_annot.sets.manifest import read_manifest
+from symsol_annot.sets.verify import verify as find_faults
+from symsol_annot.system.machine import cores
 
 
 @click.command(epilog=example("symsol-annot verify data", "symsol-annot verify data/cylO --audit 20"))

@@ -14,10 +14,10 @@ import tomllib
 from pathlib import Path
 
 from symsol_annot import __version__
-from symsol_annot.bench.checkpoints import WEIGHTS, read_record
-from symsol_annot.bench.leaderboard import SET
-from symsol_annot.bench.recipe import load_recipe
-from symsol_annot.dataset import load
+from symsol_annot.bench.leaderboard.results import SET
+from symsol_annot.bench.models.recipe import load_recipe
+from symsol_annot.bench.models.training.checkpoints import WEIGHTS, read_record
+from symsol_annot.sets.dataset import load
 
 OBJECTS = ("cylO", "tetX")
 RECIPES = {  # with the objects that they are trained on

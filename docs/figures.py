@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.path import Path as Polygon
 
-from symsol_annot.objects import load_object
-from symsol_annot.plan import label_rotation
-from symsol_annot.render_process import RenderProcess
-from symsol_annot.scene import Camera, RenderSettings
-from symsol_annot.visibility import MarkingVisibility
+from symsol_annot.annotation.visibility import MarkingVisibility
+from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.render_process import RenderProcess
+from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.sets.plan import label_rotation
 
 INDEX = 3  # of the test split of seed 0: a view that hides the disc
 HIDDEN, SHOWN, OPEN = "#4477aa", "#ee6677", "#222222"

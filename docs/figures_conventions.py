@@ -8,12 +8,12 @@ from matplotlib import pyplot as plt
 from matplotlib.patches import Rectangle
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from symsol_annot.annotate import annotate, coset_marking_px
-from symsol_annot.objects import load_object
-from symsol_annot.plan import label_rotation
-from symsol_annot.render_process import RenderProcess
-from symsol_annot.scene import Camera, RenderSettings
-from symsol_annot.so3 import rotations_about
+from symsol_annot.annotation.annotate import annotate, coset_marking_px
+from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.render_process import RenderProcess
+from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rotations.so3 import rotations_about
+from symsol_annot.sets.plan import label_rotation
 
 IMAGES = Path(__file__).parent / "images"
 LENGTH = 0.75  # of the model's axes in an image, in bounding-sphere radii

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.bench.nearest import nearest_angles
-from symsol_annot.dataset import Dataset, Sample
 from symsol_annot.errors import DataError, RendererMissingError
 from symsol_annot.gallery.runs import Run
 from symsol_annot.gallery.sources import Source
-from symsol_annot.objects import ObjectSpec
-from symsol_annot.origin import plan_behind
-from symsol_annot.render_process import RenderProcess
-from symsol_annot.scene import Camera, Renderer, RenderSettings
+from symsol_annot.generation.origin import plan_behind
+from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.rendering.render_process import RenderProcess
+from symsol_annot.rendering.scene import Camera, Renderer, RenderSettings
+from symsol_annot.rotations.nearest import nearest_angles
+from symsol_annot.sets.dataset import Dataset, Sample
 
 DRAWN_A_SIDE = 4  # members, and as many rejected candidates
 

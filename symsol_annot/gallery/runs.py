@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.bench.metric_table import NEITHER, Place, metrics_shown
-from symsol_annot.bench.predicted import Predicted, predicted_rotations
-from symsol_annot.bench.predictions import Predictions, open_predictions
-from symsol_annot.bench.scoring import TrackScores, score
-from symsol_annot.bench.tracks import Track
-from symsol_annot.bench.truth import Truth
+from symsol_annot.bench.predictions.proposals import Predicted, predicted_rotations
+from symsol_annot.bench.predictions.reader import Predictions, open_predictions
+from symsol_annot.bench.predictions.tracks import Track
+from symsol_annot.bench.predictions.truth import Truth
+from symsol_annot.bench.scoring.metric_table import NEITHER, Place, metrics_shown
+from symsol_annot.bench.scoring.scoring import TrackScores, score
 from symsol_annot.errors import PredictionsError, ScoresError
 from symsol_annot.gallery.sources import Source
 

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from symsol_annot.bench.truth import Truth, truth_of
-from symsol_annot.dataset import Dataset, load
+from symsol_annot.bench.predictions.truth import Truth, truth_of
 from symsol_annot.errors import DataError
-from symsol_annot.manifest import read_manifest
-from symsol_annot.names import SPLITS
-from symsol_annot.set_folders import set_folders
+from symsol_annot.sets.dataset import Dataset, load
+from symsol_annot.sets.folders import set_folders
+from symsol_annot.sets.manifest import read_manifest
+from symsol_annot.system.text.names import SPLITS
 
 _NOT_IN_FILE_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
 

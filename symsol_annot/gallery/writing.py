@@ -18,20 +18,20 @@ from pathlib import Path
 import numpy as np
 
 from symsol_annot import __version__
-from symsol_annot.bench.predicted import WHAT, Predicted
-from symsol_annot.checksums import changed_in, is_system_note, names_in, read_list, to_list
+from symsol_annot.bench.predictions.proposals import WHAT, Predicted
 from symsol_annot.errors import OutputError, first_of, output_errors
-from symsol_annot.extras import check_extra
-from symsol_annot.files import replaced_folder
 from symsol_annot.gallery.redrawn import Drawing, Redrawer
 from symsol_annot.gallery.runs import Run
 from symsol_annot.gallery.scripts import Document, number, packed, write_script
 from symsol_annot.gallery.sources import Source
-from symsol_annot.locks import held_folder
-from symsol_annot.plots import ID_COLOURS
-from symsol_annot.png import to_png
-from symsol_annot.reading import file_sha256
-from symsol_annot.so3 import rotation_to_quat_wxyz
+from symsol_annot.plotting.contact_sheet import ID_COLOURS
+from symsol_annot.rotations.so3 import rotation_to_quat_wxyz
+from symsol_annot.sets.png import to_png
+from symsol_annot.system.checksums import changed_in, is_system_note, names_in, read_list, to_list
+from symsol_annot.system.extras import check_extra
+from symsol_annot.system.files import replaced_folder
+from symsol_annot.system.locks import held_folder
+from symsol_annot.system.reading import file_sha256
 
 CHUNK_IMAGES = 100  # whose labels the page loads at once
 STRATUM_CODES = ("all", "hidden", "shown", "barely")  # "all" where there is no marking

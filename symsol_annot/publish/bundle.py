@@ -9,11 +9,11 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from symsol_annot.checksums import changed_in, is_hidden, is_system_note, names_in, read_list, to_list
 from symsol_annot.errors import DataError, OutputError, first_of, output_errors
-from symsol_annot.files import make_folder, write_atomically
-from symsol_annot.reading import file_sha256
-from symsol_annot.scratch import sweep
+from symsol_annot.system.checksums import changed_in, is_hidden, is_system_note, names_in, read_list, to_list
+from symsol_annot.system.files import make_folder, write_atomically
+from symsol_annot.system.reading import file_sha256
+from symsol_annot.system.scratch import sweep
 
 CHECKSUMS_NAME = "SHA256SUMS"
 _UNFINISHED_NAME = "SHA256SUMS.unfinished"

@@ -7,13 +7,13 @@ from string import Template
 from typing import TypeAlias
 
 from symsol_annot import __version__
-from symsol_annot.markdown import escaped, fenced
 from symsol_annot.publish.about import LICENCE, LICENCE_URL, About
 from symsol_annot.publish.citation import bibtex
 from symsol_annot.publish.croissant import GROUPS_NAME
 from symsol_annot.publish.figures import SplitFigures
 from symsol_annot.publish.sets import GROUPS_CONFIG, PublishedSet
-from symsol_annot.statistics import sizes_in_words
+from symsol_annot.sets.statistics import sizes_in_words
+from symsol_annot.system.text.markdown import escaped, fenced
 
 CARD_NAMES = ("README.md", "dataset_card.md")  # Hugging Face reads the first; the same page under a name that says it
 Figures: TypeAlias = Mapping[tuple[str, str], SplitFigures]  # by the set's name and the split

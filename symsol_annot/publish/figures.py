@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symsol_annot.bench.truth import truth_of
-from symsol_annot.dataset import load
+from symsol_annot.bench.predictions.truth import truth_of
 from symsol_annot.publish.bundle import Bundle
 from symsol_annot.publish.sets import PublishedSet
-from symsol_annot.statistics import SplitStatistics, split_statistics
+from symsol_annot.sets.dataset import load
+from symsol_annot.sets.statistics import SplitStatistics, split_statistics
 
 
 @dataclass(frozen=True)

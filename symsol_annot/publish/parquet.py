@@ -13,10 +13,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from symsol_annot.chunks import deflate_version
-from symsol_annot.dataset import Sample
-from symsol_annot.png import to_png
-from symsol_annot.so3 import Rotations
+from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.dataset import Sample
+from symsol_annot.sets.png import to_png
+from symsol_annot.sets.shard.chunks import deflate_version
 
 PARQUET_FORMAT_VERSION = 1
 ROWS_PER_GROUP = 100  # what a reader of one image has to fetch: about a megabyte

@@ -3,10 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from symsol_annot.dataset import load
 from symsol_annot.errors import DataError, bulleted
-from symsol_annot.locks import held_folder
-from symsol_annot.manifest import MANIFEST_NAME
 from symsol_annot.publish.about import About
 from symsol_annot.publish.bundle import Bundle, open_bundle
 from symsol_annot.publish.card import CARD_NAMES, card
@@ -15,9 +12,12 @@ from symsol_annot.publish.croissant import CROISSANT_NAME, GROUPS_NAME, croissan
 from symsol_annot.publish.figures import measure
 from symsol_annot.publish.parquet import groups_to_parquet, is_made_from, samples_to_parquet
 from symsol_annot.publish.sets import PublishedSet
-from symsol_annot.reading import file_sha256
-from symsol_annot.so3 import Rotations
-from symsol_annot.verify import verify
+from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.dataset import load
+from symsol_annot.sets.manifest import MANIFEST_NAME
+from symsol_annot.sets.verify import verify
+from symsol_annot.system.locks import held_folder
+from symsol_annot.system.reading import file_sha256
 
 _DESCRIPTION = (
     "Images of symmetric objects, rendered in Blender, each with the set of all rotations that could have produced it, "

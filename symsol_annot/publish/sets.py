@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from symsol_annot.errors import DataError, bulleted
-from symsol_annot.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest
-from symsol_annot.names import SPLITS
-from symsol_annot.set_folders import set_folders
+from symsol_annot.sets.folders import set_folders
+from symsol_annot.sets.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest
+from symsol_annot.system.text.names import SPLITS
 
 GROUPS_CONFIG = "symmetry_groups"  # beside the sets in the Parquet mirror
 

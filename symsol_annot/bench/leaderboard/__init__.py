@@ -1,0 +1,1 @@
+"""Results that were sent in, checked, and their page."""

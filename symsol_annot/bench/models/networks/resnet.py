@@ -1,0 +1,78 @@
+"""ResNet-18 as a backbone, in torchvision's names, so that its ImageNet weights fit (He et al., CVPR 2016)."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from symsol_annot.bench.models.weights.files import IMAGENET_URL, imagenet_file, load_weights, read_weights
+
+FEATURES = 512
+IMAGENET = "imagenet"  # in place of a path: the file that torchvision publishes
+_WANTED = f"the weights of a ResNet-18 in torchvision's names, as in {IMAGENET_URL}"
+_CLASSES = ("fc.weight", "fc.bias")  # from the features to ImageNet's classes
+_COUNTER = "num_batches_tracked"
+
+
+class ResNet18(nn.Module):
+    """From normalised images (B, 3, H, W) to features (B, 512); ImageNet's layer of classes, `fc`, is left out."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(3, 64, kernel_size=7, stride=2, padding=3, bias=False)
+        self.bn1 = nn.BatchNorm2d(64)
+        self.layer1 = nn.Sequential(_Block(64, 64, stride=1), _Block(64, 64, stride=1))
+        self.layer2 = nn.Sequential(_Block(64, 128, stride=2), _Block(128, 128, stride=1))
+        self.layer3 = nn.Sequential(_Block(128, 256, stride=2), _Block(256, 256, stride=1))
+        self.layer4 = nn.Sequential(_Block(256, FEATURES, stride=2), _Block(FEATURES, FEATURES, stride=1))
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Return the features of images, averaged over what is left of their height and width (a 32nd)."""
+        x = functional.relu(self.bn1(self.conv1(images)), inplace=True)
+        x = functional.max_pool2d(x, kernel_size=3, stride=2, padding=1)
+        for layer in (self.layer1, self.layer2, self.layer3, self.layer4):
+            x = layer(x)
+        return x.mean(dim=(-2, -1))
+
+
+class _Block(nn.Module):
+    """Two convolutions, and the input carried past them; where it changes shape, through a convolution of one pixel."""
+
+    def __init__(self, channels_in: int, channels: int, *, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(channels_in, channels, kernel_size=3, stride=stride, padding=1, bias=False)
+        self.bn1 = nn.BatchNorm2d(channels)
+        self.conv2 = nn.Conv2d(channels, channels, kernel_size=3, padding=1, bias=False)
+        self.bn2 = nn.BatchNorm2d(channels)
+        self.downsample = nn.Sequential()
+        if stride > 1:
+            self.downsample.append(nn.Conv2d(channels_in, channels, kernel_size=1, stride=stride, bias=False))
+            self.downsample.append(nn.BatchNorm2d(channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = functional.relu(self.bn1(self.conv1(x)), inplace=True)
+        return functional.relu(self.bn2(self.conv2(y)) + self.downsample(x), inplace=True)
+
+
+def load_pretrained(resnet: ResNet18, pretrained: str | Path) -> None:
+    """Give a ResNet-18 the weights of a file in torchvision's names.
+
+    The layer of classes may be there, of any size, or not. Files from before torch 0.4.1, torchvision's own among
+    them, lack the batches that each normalisation has seen; with a fixed momentum that count changes nothing.
+
+    Args:
+        resnet: takes the weights; left as it was where they cannot be had.
+        pretrained: "imagenet" for torchvision's file, downloaded once to torch's cache; or the path of a file.
+
+    Raises:
+        WeightsError: no such file, no download, a damaged file, or another architecture.
+    """
+    path = imagenet_file() if pretrained == IMAGENET else Path(pretrained)
+    weights = read_weights(path)
+    for name in _CLASSES:
+        weights.pop(name, None)
+    counters = [name for name in resnet.state_dict() if name.endswith(_COUNTER)]
+    if not any(name.endswith(_COUNTER) for name in weights):
+        weights |= {name: torch.tensor(0) for name in counters}
+    load_weights(resnet, weights, str(path), _WANTED)

@@ -1,0 +1,143 @@
+"""Pictures of the losses: figures 4.5, A.1 and A.2 as curves, figures 4.2 to 4.4 as a toy that converges."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from symsol_annot.bench.models.networks.losses import CONCENTRATION, cyclic_cosine_loss, geodesic_loss, von_mises_loss
+from symsol_annot.bench.models.plots.toy import TOYS, Points, Stage, Toy, positions, winners
+from symsol_annot.plotting.canvas import SERIES, new_figure, write_figure
+from symsol_annot.rotations.so3 import Z_AXIS, Angles, rotations_about
+
+EmbeddedLoss = Callable[[Tensor, Tensor], Tensor]
+
+_STEEP = 16.0  # figure A.2b, whose value the thesis does not tell: two minima, where 4 has one
+_HYPOTHESIS, _MODE = SERIES[:2]
+_CURVES_INCHES, _TOY_INCHES = (3.2, 2.4), (2.4, 2.5)
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Losses of a rotation about one axis, summed over the true rotations about it."""
+
+    figure: str
+    truths_rad: tuple[float, ...]
+    losses: Mapping[str, EmbeddedLoss]
+
+
+def _beside_von_mises(name: str, loss: EmbeddedLoss, concentration: float = CONCENTRATION) -> dict[str, EmbeddedLoss]:
+    return {
+        name: loss,
+        f"von Mises, K = {concentration:g}": partial(von_mises_loss, concentration=concentration),
+    }
+
+
+_WITH_GEODESIC = _beside_von_mises("geodesic", geodesic_loss)
+_WITH_COSINE = _beside_von_mises("cyclic cosine", cyclic_cosine_loss)
+CURVES = (
+    (Curves("4.5a", (np.pi,), _WITH_GEODESIC), Curves("4.5b", (2.0, 4.0), _WITH_GEODESIC)),
+    (
+        Curves("A.1a", (np.pi,), _WITH_COSINE),
+        Curves("A.1b", (2.0, 4.0), _WITH_COSINE),
+        Curves("A.1c", (1.0, 2.5, 4.5), _WITH_COSINE),
+    ),
+    (
+        Curves("A.2a", (3.0, 3.75), _WITH_COSINE),
+        Curves("A.2b", (3.0, 3.75), _beside_von_mises("cyclic cosine", cyclic_cosine_loss, _STEEP)),
+    ),
+)
+
+
+def summed_loss(angles_rad: Angles, truths_rad: Angles, loss: EmbeddedLoss) -> npt.NDArray[np.float64]:
+    """Return the loss of rotations about one axis (n,), summed over the true rotations about it (appendix A.1)."""
+    R_p = torch.from_numpy(rotations_about(Z_AXIS, angles_rad))
+    R_gt = torch.from_numpy(rotations_about(Z_AXIS, truths_rad))
+    summed: npt.NDArray[np.float64] = loss(R_p[:, None], R_gt).sum(dim=-1).numpy()
+    return summed
+
+
+def plot_curves(path: Path) -> None:
+    """Write figures 4.5, A.1 and A.2 as a picture, one row each.
+
+    Raises:
+        OutputError: the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure, cells = _grid(len(CURVES), max(len(row) for row in CURVES), _CURVES_INCHES)
+    angles_rad = np.linspace(0.0, 2.0 * np.pi, 721)
+    for row, curves in enumerate(CURVES):
+        for column, shown in enumerate(curves):
+            axes = cells(row, column)
+            for (name, loss), colour in zip(shown.losses.items(), SERIES[:2], strict=True):
+                values = summed_loss(angles_rad, np.array(shown.truths_rad), loss)
+                axes.plot(angles_rad, values, color=colour, linewidth=1.2, label=name)
+            for truth in shown.truths_rad:
+                axes.axvline(truth, color="0.6", linewidth=0.6, linestyle=":")
+            axes.set_title(f"{shown.figure}: truth at {', '.join(f'{t:.3g}' for t in shown.truths_rad)}", fontsize=8)
+            axes.set(xlim=(0.0, 2.0 * np.pi), ylim=(0.0, None))
+            axes.tick_params(labelsize=7)
+            axes.legend(fontsize=6)
+    write_figure(figure, path)
+
+
+def plot_toys(path: Path) -> None:
+    """Write figures 4.2 to 4.4 as a picture, one row each: where hypotheses begin, and where each stage takes them.
+
+    Arrows lead from winners to their modes, pale ones from whom a mode pulls besides; lines border the Voronoi cells.
+
+    Raises:
+        OutputError: the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    figure, cells = _grid(len(TOYS), 1 + max(len(toy.stages) for toy in TOYS), _TOY_INCHES)
+    for row, toy in enumerate(TOYS):
+        first = toy.stages[0]
+        places = positions(toy)
+        titles = [f"{toy.figure}: {first.title}, at first", *(f"after {stage.title}" for stage in toy.stages)]
+        for column, (hypotheses, stage, title) in enumerate(zip(places, (first, *toy.stages), titles, strict=True)):
+            axes = cells(row, column)
+            _draw_toy(axes, toy, hypotheses, stage)
+            axes.set_title(title, fontsize=8)
+    write_figure(figure, path)
+
+
+def _grid(rows: int, columns: int, inches: tuple[float, float]) -> tuple[Any, Callable[[int, int], Any]]:
+    width, height = inches
+    figure = new_figure(figsize=(width * columns, height * rows), layout="constrained")
+    return figure, lambda row, column: figure.add_subplot(rows, columns, row * columns + column + 1)
+
+
+def _draw_toy(axes: Any, toy: Toy, hypotheses: Points, stage: Stage) -> None:
+    if stage.winners == 1:
+        _draw_cells(axes, hypotheses)
+    if stage.pulls_all:
+        _draw_pulls(axes, toy.modes, hypotheses, winners(hypotheses, toy.modes, len(hypotheses)), alpha=0.15)
+    _draw_pulls(axes, toy.modes, hypotheses, winners(hypotheses, toy.modes, stage.winners), alpha=0.8)
+    axes.scatter(*toy.modes.T, marker="x", s=50, color=_MODE, zorder=3)
+    axes.scatter(*hypotheses.T, s=22, color=_HYPOTHESIS, alpha=0.6, linewidths=0, zorder=4)
+    axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), xticks=[], yticks=[], aspect="equal")
+
+
+def _draw_pulls(axes: Any, modes: Points, hypotheses: Points, pulled: npt.NDArray[np.intp], alpha: float) -> None:
+    for mode, indices in zip(modes, pulled, strict=True):
+        for at in hypotheses[indices]:
+            axes.annotate(
+                "", mode, at, arrowprops={"arrowstyle": "->", "color": "0.3", "alpha": alpha, "linewidth": 0.8}
+            )
+
+
+def _draw_cells(axes: Any, hypotheses: Points) -> None:
+    """Draw the borders of the Voronoi cells, of hypotheses at one place one cell."""
+    x, y = np.meshgrid(*2 * [np.linspace(0.0, 1.0, 201)])
+    apart = np.unique(hypotheses.round(3), axis=0)
+    distances = np.linalg.norm(np.stack([x, y], axis=-1)[..., None, :] - apart, axis=-1)
+    for index in range(len(apart)):
+        others = np.delete(distances, index, axis=-1).min(axis=-1)
+        axes.contour(x, y, distances[..., index] - others, levels=[0.0], colors="0.75", linewidths=0.6)

@@ -1,0 +1,1 @@
+"""The predictions file: its format, its reader, its writers."""

@@ -1,0 +1,1 @@
+"""What mends a predictions file that is refused."""

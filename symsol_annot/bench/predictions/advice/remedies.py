@@ -1,0 +1,401 @@
+"""What was given in place of predictions, and the line of code that makes predictions of it.
+
+A line is offered only where its steps were tried on what was given and led to what is wanted; files alone are not
+opened for that. It may be pasted as it is: the argument has the name that the writer gives it.
+"""
+
+import contextlib
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from symsol_annot.bench.predictions.format import ROTATION_TOLERANCE
+from symsol_annot.rotations.so3 import quat_wxyz_to_rotation, rotation_deviation
+
+Array = npt.NDArray[Any]
+
+_TRIED_IMAGES = 10
+_NEARLY = 0.05  # how far from a rotation a matrix may be that the nearest rotation is offered for
+_SUM_TOLERANCE = 1e-3  # of a softmax in float32 over 294,912 rotations
+_SURE = 0.999  # a probability of this much alone adds up to 1 without being normalised
+_LONGEST_VECTOR = 2.0 * np.pi  # of a rotation vector, in rad
+_PEAK = 50.0  # how many times its mean a density reaches, and an energy does not
+_GREATEST_LOG = 700.0  # whose exponential float64 holds
+
+
+@dataclass(frozen=True, eq=False)
+class _Draft:
+    """Code, what it gives, and in words what it takes the input for."""
+
+    code: str
+    value: Array
+    words: tuple[str, ...] = ()
+    imports: tuple[str, ...] = ()
+
+    def then(self, code: str, value: Array, words: str = "", imports: str = "") -> "_Draft":
+        """Return the draft with one step more; `code` has {} where the code so far goes."""
+        more_words, more_imports = (words,) if words else (), (imports,) if imports else ()
+        return _Draft(code.format(self.code), value, self.words + more_words, self.imports + more_imports)
+
+    def line(self, target: str) -> str:
+        """Return the line that gives a name what the code gives, with what it imports."""
+        imports = sorted({*self.imports, *(("import numpy as np",) if "np." in self.code else ())})
+        return "; ".join([*imports, f"{target}{self.code}"])
+
+
+def six_numbers_to_rotation(six: npt.ArrayLike) -> Array:
+    """Return the rotations (..., 3, 3) of (..., 6) numbers: two columns, made orthonormal one after the other.
+
+    Zhou et al., "On the continuity of rotation representations in neural networks", CVPR 2019.
+    """
+    six = np.asarray(six)
+    first, second = six[..., :3], six[..., 3:]
+    third = np.cross(first, second)
+    columns = np.stack([first, np.cross(third, first), third], axis=-1)
+    with np.errstate(invalid="ignore", divide="ignore"):  # parallel columns have no rotation
+        rotations: Array = columns / np.linalg.norm(columns, axis=-2, keepdims=True)
+    return rotations
+
+
+def remedy_for_array(given: Any, images: int) -> str:
+    """Return what to do with something that is no (N, M, 3, 3) array of rotations, after "; "; "" where unknown.
+
+    Args:
+        given: as the argument `hypotheses`.
+        images: N.
+    """
+    if isinstance(given, str | Path):
+        return _said(["this is a path"], _loading(Path(given)))
+    whole = None if isinstance(given, Mapping) else _hypotheses_of_all(given, images)
+    if whole is not None:
+        return _said(whole.words, whole.line("hypotheses = "))
+    row = _first_row(given, images)
+    draft = None if row is None else _hypotheses_of_one_image(row, "rows[i]")
+    if draft is None:
+        return ""
+    return _said(["this is a row per image", *draft.words], draft.line("hypotheses = lambda i, rows=hypotheses: "))
+
+
+def remedy_for_answer(given: Any) -> str:
+    """Return what to do with a callable's answer about one image that is no (m, 3, 3) array of rotations."""
+    found = _hypotheses_of_one_image(given, "ask(i)")
+    return _said(found.words, found.line("hypotheses = lambda i, ask=hypotheses: ")) if found else ""
+
+
+def remedy_for_numbers(given: Any, name: str) -> str:
+    """Return what to do with an argument that is no array of real numbers."""
+    found = _plain(given, name)
+    return _said(found.words, found.line(f"{name} = ")) if found and found.words else ""
+
+
+def remedy_for_values(given: Any, count: int, name: str) -> str:
+    """Return what to do with an answer about `count` rotations that is no (count,) array of real numbers."""
+    found = _plain(given, "ask(i, R)")
+    if found is None or found.value.size != count:
+        return ""
+    if found.value.shape != (count,):
+        words = f"there is one number per rotation, in the shape {found.value.shape}"
+        found = found.then("np.reshape({}, -1)", found.value.reshape(-1), words)
+    return _said(found.words, found.line(f"{name} = lambda i, R, ask={name}: ")) if found.words else ""
+
+
+def remedy_for_probabilities(answers: Array) -> str:
+    """Return what to do with a classifier's answers (n,), which are not all in [0, 1]."""
+    target = "classify = lambda i, R, ask=classify: "
+    if not np.isfinite(answers).all():
+        return ""
+    if answers.min() > -0.01 and answers.max() < 1.01:
+        return _said(["these are off by rounding"], f"import numpy as np; {target}np.clip(ask(i, R), 0.0, 1.0)")
+    words = "these look like logits"
+    if answers.max() <= 0.0:
+        words += " (were they logarithms of probabilities, it would be np.exp in place of expit)"
+    return _said([words], f"from scipy.special import expit; {target}expit(ask(i, R))")
+
+
+def remedy_for_infinity() -> str:
+    """Return what to do with a log-density of infinity, as at the centre of a distribution without width."""
+    line = "import numpy as np; log_density = lambda i, R, ask=log_density: np.minimum(ask(i, R), 700.0)"
+    return _said(["a rotation that has all of the probability may have 700, which outweighs any other"], line)
+
+
+def is_normalised(answers: Array, batch_size: int) -> bool:
+    """Tell whether numbers are probabilities that add up to 1 in each batch that was asked, and are not one alone."""
+    if not (answers >= 0.0).all() or answers.max() > _SURE:
+        return False
+    return all(abs(total - 1.0) <= _SUM_TOLERANCE for total in _batch_sums(answers, batch_size))
+
+
+def fault_of_log_densities(log_p: Array, batch_size: int, level: int) -> str:
+    """Say what log-densities on a whole grid seem to be instead, and what to do; "" where they are.
+
+    Args:
+        log_p: (cells,), none of them NaN.
+        batch_size: how many were asked about at once.
+        level: of the grid.
+    """
+    cells = len(log_p)
+    if (log_p >= 0.0).all():
+        if _looks_like_density(log_p):
+            line = (
+                "import numpy as np; log_density = lambda i, R, ask=log_density: np.log(np.maximum(ask(i, R), 1e-300))"
+            )
+            return "none is negative and they add up to 1" + _said(["these look like probabilities"], line)
+        if cells > batch_size and all(abs(x - 1.0) <= _SUM_TOLERANCE for x in _batch_sums(log_p, batch_size)):
+            code = "lambda i, R: np.log(np.maximum(log_density(i, R), 1e-300))"
+            return "they add up to 1 in each batch" + _whole_grid_at_once(code, level, cells)
+    elif cells > batch_size and (highest := log_p.max()) < _GREATEST_LOG:
+        sums = _batch_sums(np.exp(log_p - highest), batch_size) * np.exp(highest)
+        if (np.abs(sums - 1.0) <= _SUM_TOLERANCE).all():
+            return "their exponentials add up to 1 in each batch" + _whole_grid_at_once("log_density", level, cells)
+    return ""
+
+
+def normalised_classifier(level: int, cells: int) -> str:
+    """Say of a classifier's answers that are normalised over what was asked that they are a density, and what to do."""
+    line = (
+        "import numpy as np; from symsol_annot.bench.submission import write_density; write_density(path, dataset, "
+        f"lambda i, R: np.log(np.maximum(classify(i, R), 1e-300)), method=method, level={level}, batch_size={cells})"
+    )
+    return (
+        "the answers add up to 1 over the rotations asked about, as a softmax makes them, so none says whether a "
+        "rotation is in the set"
+    ) + _said(["what adds up to 1 over rotations is a density"], line)
+
+
+def density_of_array(given: Any, images: int, level: int, cells: int) -> str:
+    """Return what to do with log-densities that are an array in place of a callable."""
+    if callable(given) or np.shape(given) != (images, cells):
+        return ""
+    line = (
+        "from symsol_annot.bench.submission import write_density; write_density(path, dataset, "
+        f"lambda i, R: log_density[i], method=method, level={level}, batch_size={cells})"
+    )
+    return _said(["this is an array with a number per cell"], line)
+
+
+def _looks_like_density(values: Array) -> bool:
+    """Tell whether numbers on a whole grid, none of them negative, add up to 1: as cells, or as a density on SO(3).
+
+    Energies that begin at 0 may have any mean, so a density is told by its peak as well.
+    """
+    if abs(values.sum() - 1.0) <= _SUM_TOLERANCE and values.max() > values.min():
+        return True
+    mean = values.mean()
+    is_peaked = values.max() > _PEAK * mean
+    return bool(
+        is_peaked and any(abs(mean * volume - 1.0) <= _SUM_TOLERANCE for volume in (1.0, np.pi**2, 8 * np.pi**2))
+    )
+
+
+def _batch_sums(values: Array, batch_size: int) -> Array:
+    return np.add.reduceat(values, np.arange(0, len(values), batch_size), dtype=np.float64)
+
+
+def _whole_grid_at_once(code: str, level: int, cells: int) -> str:
+    line = (
+        "import numpy as np; from symsol_annot.bench.submission import write_density; "
+        f"write_density(path, dataset, {code}, method=method, level={level}, batch_size={cells})"
+    )
+    return _said(["what is normalised has to be asked about the whole grid at once"], line)
+
+
+def _said(words: Sequence[str], line: str) -> str:
+    """Return the end of a message: what something is taken for, and a line that mends it, on a line of its own."""
+    return f"; {' and '.join(words)}; this line mends it:\n    {line}" if words and line else ""
+
+
+def _loading(path: Path) -> str:
+    match path.suffix:
+        case ".npy":
+            return f"import numpy as np; hypotheses = np.load({str(path)!r})"
+        case ".npz":
+            return f"import numpy as np; hypotheses = np.load({str(path)!r})[{_name_in(path)!r}]"
+        case ".pt" | ".pth":
+            return f'import torch; hypotheses = torch.load({str(path)!r}, map_location="cpu", weights_only=True)'
+    return ""
+
+
+def _name_in(path: Path) -> str:
+    """Return the name of the only array of an .npz, or the one that it should have."""
+    with contextlib.suppress(OSError, zipfile.BadZipFile):
+        names = zipfile.ZipFile(path).namelist()
+        if len(names) == 1:
+            return names[0].removesuffix(".npy")
+    return "hypotheses"
+
+
+def _first_row(given: Any, images: int) -> Any:
+    """Return the first of as many rows as there are images; None where there are no such rows."""
+    if not isinstance(given, Sequence | Mapping) or isinstance(given, str | bytes) or len(given) != images:
+        return None
+    return given.get(0) if isinstance(given, Mapping) else given[0]
+
+
+def _hypotheses_of_all(given: Any, images: int) -> _Draft | None:
+    draft = _plain(given, "hypotheses")
+    if draft is None or draft.value.ndim < 2 or not draft.value.size:
+        return None
+    if draft.value.shape[0] != images and draft.value.shape[1:2] == (images,):
+        swapped = np.swapaxes(draft.value, 0, 1)
+        draft = draft.then("np.swapaxes({}, 0, 1)", swapped, "the images are along the second axis")
+    if draft.value.shape[0] != images:
+        return None
+    draft = _Draft(draft.code, draft.value[:_TRIED_IMAGES], draft.words, draft.imports)  # enough to try it on
+    return _as_rotations(draft, leading=2)
+
+
+def _hypotheses_of_one_image(given: Any, code: str) -> _Draft | None:
+    draft = _plain(given, code)
+    return None if draft is None or not draft.value.size else _as_rotations(draft, leading=1)
+
+
+def _plain(given: Any, code: str) -> _Draft | None:
+    """Return numbers as an array of a type that numpy computes with; None where there are none."""
+    draft = _unwrapped(given, code)
+    if draft is None:
+        return None
+    name, value = draft.value.dtype.name, draft.value
+    if value.dtype.kind == "c":
+        return draft.then("np.real({})", np.real(value), "these are complex numbers")
+    if name in ("float16", "bfloat16"):
+        return draft.then("{}.astype(np.float32)", value.astype(np.float32), f"these are {name}")
+    if value.dtype.kind in "biu" or (value.dtype.kind == "f" and value.dtype.str not in ROTATION_TOLERANCE):
+        return draft.then("{}.astype(np.float64)", value.astype(np.float64), f"these are {value.dtype}")
+    return draft if value.dtype.kind == "f" else None
+
+
+def _unwrapped(given: Any, code: str) -> _Draft | None:
+    """Return what an array, a tensor or scipy's rotations hold."""
+    if isinstance(given, np.ndarray):
+        return _Draft(code, given)
+    try:
+        if hasattr(given, "detach"):  # torch's, which this module must not import
+            return _of_tensor(given, code)
+        if hasattr(given, "as_matrix"):
+            return _Draft(f"{code}.as_matrix()", np.asarray(given.as_matrix()), ("these are scipy's rotations",))
+        return _Draft(f"np.asarray({code})", np.asarray(given))
+    except (TypeError, ValueError, RuntimeError):
+        return None
+
+
+def _of_tensor(given: Any, code: str) -> _Draft:
+    """Return the numbers of a torch tensor, wherever it lies; numpy has no bfloat16."""
+    if "bfloat16" in str(given.dtype):
+        value = np.asarray(given.detach().float().cpu().numpy())
+        return _Draft(f"{code}.detach().float().cpu().numpy()", value, ("this is a tensor of bfloat16",))
+    value = np.asarray(given.detach().cpu().numpy())
+    return _Draft(f"{code}.detach().cpu().numpy()", value, ("this is a tensor of torch",))
+
+
+def _as_rotations(draft: _Draft, leading: int) -> _Draft | None:
+    """Return rotations with so many leading dimensions (images and hypotheses), or None where no way leads to them."""
+    for form in _FORMS:
+        shaped = form(draft, leading)
+        placed = None if shaped is None else _with_leading(shaped, leading)
+        right = None if placed is None else _made_exact(placed)
+        if right is not None:
+            return right
+    return None
+
+
+def _with_leading(draft: _Draft, leading: int) -> _Draft | None:
+    value = draft.value
+    if value.ndim == leading + 1:
+        here = "[:, None]" if leading == 2 else "[None]"
+        words = "one hypothesis per image" if leading == 2 else "one hypothesis"
+        return draft.then("{}" + here, np.expand_dims(value, leading - 1), f"there is {words}")
+    if value.ndim == leading + 3 and value.shape[leading - 1] == 1:
+        here = "[:, 0]" if leading == 2 else "[0]"
+        return draft.then("{}" + here, value.take(0, axis=leading - 1), "there is an axis of length 1 too many")
+    return draft if value.ndim == leading + 2 else None
+
+
+def _made_exact(draft: _Draft) -> _Draft | None:
+    """Return the nearest rotations where they are nearly some; None where they are not."""
+    off = rotation_deviation(draft.value.astype(np.float64)).max()
+    if off <= ROTATION_TOLERANCE[draft.value.dtype.str]:
+        return draft
+    if not off <= _NEARLY:  # NaN is not either
+        return None
+    left, _, right = np.linalg.svd(draft.value)
+    words = f"they are off by up to {off:.2g} from rotations, of which the nearest may be taken"
+    return draft.then("np.matmul(*np.linalg.svd({})[::2])", left @ right, words)
+
+
+def _matrices(draft: _Draft, _leading: int) -> _Draft | None:
+    return draft if draft.value.shape[-2:] == (3, 3) else None
+
+
+def _poses(draft: _Draft, _leading: int) -> _Draft | None:
+    shape = draft.value.shape
+    if shape[-2:] == (4, 4):
+        return draft.then("{}[..., :3, :3]", draft.value[..., :3, :3], "these look like 4x4 poses")
+    if shape[-2:] == (3, 4):
+        return draft.then("{}[..., :3]", draft.value[..., :3], "these look like 3x4 poses")
+    return None
+
+
+def _flat(draft: _Draft, _leading: int) -> _Draft | None:
+    *rest, last = draft.value.shape
+    if last not in (9, 16):
+        return None
+    side, dims = (3, "") if last == 9 else (4, "[..., :3, :3]")
+    lead = ", ".join(["-1", *map(str, rest[1:])]) if rest else ""
+    value = draft.value.reshape(*rest, side, side)[..., :3, :3]
+    shape = f"({lead}, {side}, {side})" if lead else f"({side}, {side})"
+    return draft.then(f"np.reshape({{}}, {shape}){dims}", value, f"these look like {side}x{side} matrices, row by row")
+
+
+def _quaternions(draft: _Draft, _leading: int) -> _Draft | None:
+    if draft.value.shape[-1] != 4:
+        return None
+    with np.errstate(invalid="ignore", divide="ignore"):
+        value = quat_wxyz_to_rotation(draft.value)
+    words = "these look like quaternions (the scalar first; where it is last, index them with [..., [3, 0, 1, 2]])"
+    imports = "from symsol_annot.rotations.so3 import quat_wxyz_to_rotation"
+    return draft.then("quat_wxyz_to_rotation({})", value, words, imports)
+
+
+def _rotation_vectors(draft: _Draft, leading: int) -> _Draft | None:
+    *rest, last = draft.value.shape
+    if last != 3 or len(rest) > leading or not np.linalg.norm(draft.value, axis=-1).max() <= _LONGEST_VECTOR:
+        return None
+    if draft.value.shape[-2:] == (3, 3) and _is_orthonormal(draft.value):  # reflections
+        return None
+    value = Rotation.from_rotvec(draft.value.reshape(-1, 3)).as_matrix().reshape(*rest, 3, 3)
+    shape = ", ".join(["-1", *map(str, rest[1:]), "3", "3"]) if rest else "3, 3"
+    return draft.then(
+        f"Rotation.from_rotvec(np.reshape({{}}, (-1, 3))).as_matrix().reshape({shape})",
+        value,
+        "these look like rotation vectors, in rad",
+        "from scipy.spatial.transform import Rotation",
+    )
+
+
+def _is_orthonormal(matrices: Array) -> bool:
+    return bool((np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)) <= _NEARLY).all())
+
+
+def _six_numbers(draft: _Draft, _leading: int) -> _Draft | None:
+    if draft.value.shape[-1] != 6:
+        return None
+    words = "these look like the two first columns of matrices"
+    imports = "from symsol_annot.bench.predictions.advice.remedies import six_numbers_to_rotation"
+    return draft.then("six_numbers_to_rotation({})", six_numbers_to_rotation(draft.value), words, imports)
+
+
+# In this order: (.., 3, 3) may be a matrix or three vectors, (.., 3, 4) a pose or three quaternions.
+_FORMS: tuple[Callable[[_Draft, int], _Draft | None], ...] = (
+    _matrices,
+    _poses,
+    _flat,
+    _quaternions,
+    _six_numbers,
+    _rotation_vectors,
+)

@@ -1,0 +1,176 @@
+"""What predictions are held against: a split's symmetry sets, and its strata."""
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.errors import DataError, first_of
+from symsol_annot.rotations.nearest import Circles, find_circles
+from symsol_annot.rotations.so3 import Rotations, angle_between
+from symsol_annot.sets.dataset import Dataset, Labels, load
+from symsol_annot.sets.folders import set_folders
+from symsol_annot.sets.manifest import Manifest, read_manifest
+from symsol_annot.system.text.names import SPLITS
+
+BARELY_PX = 20  # at an image size of 224; scaled by area
+_REFERENCE_AREA_PX = 224 * 224
+_SHOWN = 8  # sets, in a message
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The symmetry sets of a split, and what scoring derives from them once.
+
+    Attributes:
+        object: the object's name.
+        split: "train" or "test".
+        fingerprint: of the split.
+        has_marking: whether the object has one.
+        image_area_px: width x height.
+        labels: rotations, symmetry masks, and whether the marking shows.
+        other_fingerprints: those that the split's may be mistaken for, to what they are of: the whole set, the other
+            split.
+        folder: of the set, as the command line would name it; empty where it is not known.
+    """
+
+    object: str
+    split: str
+    fingerprint: str
+    has_marking: bool
+    image_area_px: int
+    labels: Labels
+    other_fingerprints: Mapping[str, str] = field(default_factory=dict)
+    folder: str = ""
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    @cached_property
+    def set_sizes(self) -> npt.NDArray[np.int64]:
+        """(N,) how many members each image's set has."""
+        return self.labels.symmetry_mask.sum(axis=1)
+
+    @cached_property
+    def circles(self) -> Circles | None:
+        """The circles that the body's group discretises; None for a group of isolated rotations."""
+        return find_circles(self.labels.symmetry_group)
+
+    @cached_property
+    def strata(self) -> dict[str, npt.NDArray[np.bool_]]:
+        """Name to (N,) images: all; for a marked object also shown and hidden, which part it, and barely, in shown."""
+        everything = np.ones(len(self), dtype=bool)
+        if not self.has_marking:
+            return {"all": everything}
+        shown = self.labels.marking_visible
+        barely_px = BARELY_PX * self.image_area_px / _REFERENCE_AREA_PX
+        return {
+            "all": everything,
+            "shown": shown,
+            "hidden": ~shown,
+            "barely": shown & (self.labels.marking_pixels < barely_px),
+        }
+
+
+def near_elements(group: Rotations, angle_rad: float) -> npt.NDArray[np.bool_]:
+    """Return which elements of a group (G, 3, 3) lie within an angle of each other, (G, G); so do R g and R g'."""
+    return np.stack([angle_between(g, group) <= angle_rad for g in group])
+
+
+def truth_of(dataset: Dataset) -> Truth:
+    """Read the truth of a split.
+
+    Raises:
+        NotAnnotatedError: it has no symmetry sets.
+        DataError: a shard is damaged.
+    """
+    return Truth(
+        dataset.object,
+        dataset.split,
+        dataset.fingerprint,
+        dataset.has_marking,
+        math.prod(dataset.image_size),
+        dataset.labels(),
+        _other_fingerprints(dataset.manifest, dataset.split),
+        str(dataset.folder),
+    )
+
+
+def find_set(data: str | os.PathLike[str], object_name: str, split: str = "test", fingerprint: str = "") -> Path:
+    """Return the folder of an object's set, whatever it is called: `data` itself where it is a set, else one in it.
+
+    Args:
+        data: a set's folder, or the folder of sets.
+        object_name: which object the set's manifest must name.
+        split: whose fingerprint tells several sets of the object apart.
+        fingerprint: of that split; where none of the sets has it, or it is empty, the folder that has the object's
+            name is taken.
+
+    Raises:
+        DataError: there is none, or there are several that nothing tells apart.
+    """
+    folder = Path(data)
+    folders = set_folders(folder)
+    if folders == [folder]:
+        return folder
+    manifests = {place: _manifest(place) for place in folders}
+    of_object = [place for place, found in manifests.items() if found and found.recipe["object"] == object_name]
+    by_content = [p for p in of_object if fingerprint and _split_fingerprint(manifests[p], split) == fingerprint]
+    by_name = [place for place in folders if place.name == object_name and place in (of_object or folders)]
+    for chosen in (by_content, by_name, of_object):
+        if len(chosen) == 1 or (chosen and chosen is by_content):  # sets of the same contents serve alike
+            return chosen[0]
+    if of_object:
+        names = ", ".join(str(place) for place in of_object)
+        raise DataError(
+            f"{folder}: holds several sets of the object {object_name!r}, and their {split} fingerprints are none of "
+            f"the wanted one: {names}; --data names the one that is meant"
+        )
+    raise DataError(f"{folder}: holds no set of the object {object_name!r}: {_in_words(folder, manifests)}")
+
+
+def read_truth(data: str | os.PathLike[str], object_name: str, split: str, fingerprint: str = "") -> Truth:
+    """Read the truth of an object's split from the set under `data`, which `find_set` finds by the same arguments.
+
+    Raises:
+        DataError: there is no such set or split, or it is damaged or without symmetry sets.
+    """
+    with load(find_set(data, object_name, split, fingerprint), split) as dataset:
+        return truth_of(dataset)
+
+
+def _manifest(folder: Path) -> Manifest | None:
+    """Return a set's manifest; None where it cannot be read, so that a broken set does not hide the others."""
+    try:
+        return read_manifest(folder)
+    except DataError:
+        return None
+
+
+def _split_fingerprint(manifest: Manifest | None, split: str) -> str | None:
+    return manifest.split_fingerprint(split) if manifest else None
+
+
+def _other_fingerprints(manifest: Manifest, split: str) -> dict[str, str]:
+    """Return what else of a set has a fingerprint: fingerprint to words."""
+    found = {manifest.split_fingerprint(other): f"the {other} split's" for other in SPLITS if other != split}
+    found[manifest.fingerprint] = "the whole set's"
+    return {fingerprint: words for fingerprint, words in found.items() if fingerprint is not None}
+
+
+def _in_words(folder: Path, manifests: Mapping[Path, Manifest | None]) -> str:
+    """Say which sets there are instead, and what to do."""
+    if not folder.is_dir():
+        return "there is no such folder; --data names the folder of the sets"
+    if not manifests:
+        return "there is no set in it; --data names the folder of the sets, `symsol-annot render` makes one"
+    lines = [
+        f"{place.name} ({found.recipe['object'] if found else 'its manifest cannot be read'})"
+        for place, found in manifests.items()
+    ]
+    return f"its sets are {first_of(lines, _SHOWN)}; --data names the folder of the set that is meant"

@@ -1,0 +1,1 @@
+"""Scores: from a predictions file to a report."""

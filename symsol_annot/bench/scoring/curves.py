@@ -1,0 +1,117 @@
+"""Scores as curves: precision and recall over thresholds, coverage over angles."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from symsol_annot.bench.scoring.metric_table import ANGLES_DEG, SWEPT_THRESHOLDS
+from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.scores_file import read_scores
+from symsol_annot.errors import ScoresError
+from symsol_annot.plotting.canvas import SERIES, label_text, new_figure, write_figure
+
+AnyPath: TypeAlias = str | os.PathLike[str]
+Figures: TypeAlias = Mapping[str, Mapping[str, Any]]
+
+_INCHES = (4.2, 3.4)
+_MARKERS = "os^Dv<>"
+_LABELLED = (0.1, 0.5, 0.8, 0.99)  # thresholds whose points are named
+_SHARE = (-0.02, 1.02)  # the limits of an axis
+
+
+def plot_precision_recall(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: str = "all") -> None:
+    """Write the precision of classifiers over their recall, at the thresholds that `score` sweeps.
+
+    Args:
+        scores: files of scores, a curve each.
+        path: a PNG, PDF or SVG.
+        name: of the object.
+        stratum: of its images.
+
+    Raises:
+        ScoresError: a file is broken, or has no classifier's track about the object.
+        OutputError: the picture cannot be written.
+        SettingsError: it is none of those forms.
+        MissingExtraError: matplotlib is not installed.
+    """
+    axes_options = {"xlabel": "recall", "ylabel": "precision", "xlim": _SHARE}
+    _plot(scores, path, name, stratum, "classifier", _draw_precision_recall, axes_options)
+
+
+def plot_coverage(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: str = "all") -> None:
+    """Write the coverage of hypotheses over the angle, and dashed their accuracy, with their 95% intervals.
+
+    Args, Raises: as `plot_precision_recall`, of the hypotheses track.
+    """
+    axes_options = {"xlabel": "angle, degrees", "ylabel": "share within it"}
+    _plot(scores, path, name, stratum, "hypotheses", _draw_coverage, axes_options)
+
+
+def _plot(
+    scores: Sequence[AnyPath],
+    path: AnyPath,
+    name: str,
+    stratum: str,
+    track: str,
+    draw: Callable[[Any, str, Figures, Mapping[str, Any]], None],
+    axes_options: Mapping[str, Any],
+) -> None:
+    """Write a picture to which each file adds, by `draw`, its method's figures in a style of its own."""
+    figure = new_figure(figsize=_INCHES, layout="constrained")
+    axes = figure.add_subplot()
+    for number, (method, figures) in enumerate(_tracks(scores, name, track, stratum)):
+        colour, marker = SERIES[number % len(SERIES)], _MARKERS[number % len(_MARKERS)]
+        draw(axes, method, figures, {"color": colour, "marker": marker, "markersize": 3.5, "linewidth": 1.2})
+    title = name if stratum == "all" else f"{name}, {stratum}"
+    axes.set(**axes_options, ylim=_SHARE, title=label_text(title))
+    axes.title.set_fontsize(9)
+    axes.grid(visible=True, color="0.9", linewidth=0.5)
+    if any(len(line.get_xdata()) for line in axes.lines):
+        axes.legend(fontsize=7, frameon=False)
+    write_figure(figure, Path(path))
+
+
+def _draw_precision_recall(axes: Any, method: str, figures: Figures, style: Mapping[str, Any]) -> None:
+    recall, precision = (
+        _values(figures, {t: f"{what}_above_{t:g}" for t in SWEPT_THRESHOLDS}) for what in ("recall", "precision")
+    )
+    thresholds = [t for t in recall if t in precision]
+    points = [(recall[t]["value"], precision[t]["value"]) for t in thresholds]
+    axes.plot([x for x, _ in points], [y for _, y in points], label=label_text(method), **style)
+    for threshold, point in zip(thresholds, points, strict=True):
+        if threshold in _LABELLED:
+            axes.annotate(f"{threshold:g}", point, (3, 3), textcoords="offset points", fontsize=6)
+
+
+def _draw_coverage(axes: Any, method: str, figures: Figures, style: Mapping[str, Any]) -> None:
+    for what, dashes in (("coverage", "-"), ("accuracy", "--")):
+        values = _values(figures, {angle: f"{what}_at_{angle}_deg" for angle in ANGLES_DEG})
+        shares = [figure["value"] for figure in values.values()]
+        axes.plot(list(values), shares, label=label_text(f"{what}, {method}"), **{**style, "linestyle": dashes})
+        known = {angle: f for angle, f in values.items() if f["low"] is not None and f["high"] is not None}
+        ends = ([figure[end] for figure in known.values()] for end in ("low", "high"))
+        axes.fill_between(list(known), *ends, color=style["color"], alpha=0.12, linewidth=0)
+
+
+def _tracks(paths: Sequence[AnyPath], name: str, track: str, stratum: str) -> list[tuple[str, Figures]]:
+    """Return the name of each file's result, with its M where it has one, and its figures."""
+    found = []
+    for path in paths:
+        document = read_scores(path)
+        scores = document["objects"].get(name, {}).get(track, {})
+        figures = scores.get(stratum) if stratum in STRATA else None
+        if figures is None:
+            there = ", ".join(document["objects"]) or "no object"
+            raise ScoresError(
+                f"{path}: expected a {track} track about {name}, with a stratum {stratum}; it is about {there}"
+            )
+        count = f" (M = {scores['M']})" if track == "hypotheses" else ""
+        found.append((f"{document['method']}{count}", figures))
+    return found
+
+
+def _values(figures: Figures, names: Mapping[float, str]) -> dict[float, Mapping[str, Any]]:
+    """Return threshold or angle to figure, of the metrics that are there and defined."""
+    there = {number: figures[name] for number, name in names.items() if name in figures}
+    return {number: figure for number, figure in there.items() if figure["value"] is not None}

@@ -1,0 +1,177 @@
+"""Reference rows: what methods score that know the answer, half of it, or nothing. Made from a set's labels alone.
+
+Each row goes the way of any submission: predictions files, then scores.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench.predictions.queries import DECOY_COSETS, Queries, query_count
+from symsol_annot.bench.predictions.truth import Truth, truth_of
+from symsol_annot.bench.predictions.writing.submission import write_columns, write_hypotheses
+from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.scoring import ObjectScores, score_file
+from symsol_annot.errors import ScoresError
+from symsol_annot.rotations.grid import STANDARD_LEVEL, GridIndex
+from symsol_annot.rotations.so3 import Rotations, uniform_rotations
+from symsol_annot.sets.dataset import Dataset
+
+HYPOTHESES = 30
+_SEED = 0
+_LISTED_MASS = 1.0 - 1e-12  # a density leaves something to every cell
+
+Write = Callable[[Path, Dataset, Truth, int], None]  # the last is the grid's level
+
+
+def truth(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
+    """Write the symmetry sets themselves, as hypotheses, classifier and density."""
+    write_hypotheses(path, dataset, known.labels.symmetry_set, method="truth", progress=False)
+    nowhere = [np.zeros(0, dtype=np.int64)] * len(known)
+    _write_classifier(path, dataset, known.labels.symmetry_mask, nowhere, "truth", level)
+    grid = GridIndex(level)
+    cells = [np.unique(grid.nearest(known.labels.symmetry_set(i)), return_counts=True) for i in range(len(known))]
+    columns = {
+        "density_offsets": _offsets([indices for indices, _ in cells]),
+        "density_indices": np.concatenate([indices for indices, _ in cells]),
+        "density_log_probabilities": np.log(
+            np.concatenate([_LISTED_MASS * counts / counts.sum() for _, counts in cells])
+        ),
+    }
+    write_columns(path, dataset, "density", columns, method="truth", grid_level=level)
+
+
+def one_true_rotation(path: Path, dataset: Dataset, known: Truth, _level: int = STANDARD_LEVEL) -> None:
+    """Write the one rotation that each image was drawn at."""
+    write_hypotheses(path, dataset, known.labels.rotation[:, None], method="one true rotation")
+
+
+def body_group(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
+    """Write all rotations of the body, as a method does that is blind to the marking."""
+    labels = known.labels
+    everything = np.ones_like(labels.symmetry_mask)
+    nowhere = [np.zeros(0, dtype=np.int64)] * len(known)
+    method = "the body's group, blind to the marking"
+    write_hypotheses(path, dataset, lambda i: labels.rotation[i] @ labels.symmetry_group, method=method, progress=False)
+    _write_classifier(path, dataset, everything, nowhere, method, level)
+
+
+def uniform(path: Path, dataset: Dataset, known: Truth, _level: int = STANDARD_LEVEL) -> None:
+    """Write 30 uniform rotations per image."""
+    rng = np.random.default_rng(_SEED)
+    rotations = uniform_rotations(HYPOTHESES * len(known), rng).reshape(len(known), HYPOTHESES, 3, 3)
+    write_hypotheses(path, dataset, rotations, method="30 uniform rotations")
+
+
+def evenly_placed(path: Path, dataset: Dataset, known: Truth, _level: int = STANDARD_LEVEL) -> None:
+    """Write the set where it has up to 30 members, else 30 of them, even along its arcs."""
+    write_hypotheses(path, dataset, lambda i: _even(known, i), method="30 placed evenly", progress=False)
+
+
+def rounded_to_grid(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
+    """Write the grid rotations nearest to the members: as hypotheses, and as what a classifier claims on the grid."""
+    grid, method = GridIndex(level), "truth rounded to the grid"
+    cells = [np.unique(grid.nearest(known.labels.symmetry_set(i))) for i in range(len(known))]
+    write_hypotheses(path, dataset, lambda i: grid.rotations[cells[i]], method=method, progress=False)
+    _write_classifier(path, dataset, known.labels.symmetry_mask, cells, method, level)
+
+
+def yes_to_queries(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
+    """Write a classifier that says yes to whatever it is asked and claims nothing on the grid; it must not rank."""
+    count = query_count(len(known.labels.symmetry_group))
+    columns = {
+        "query_probability": np.ones((len(known), count), dtype=np.float32),
+        **_on_grid([np.zeros(0, dtype=np.int64)] * len(known)),
+    }
+    write_columns(path, dataset, "classifier", columns, method="yes to every query", grid_level=level)
+
+
+ROWS: dict[str, Write] = {
+    "truth": truth,
+    "rounded-to-grid": rounded_to_grid,
+    "evenly-placed": evenly_placed,
+    "one-true-rotation": one_true_rotation,
+    "body-group": body_group,
+    "uniform": uniform,
+    "yes-to-queries": yes_to_queries,
+}
+
+
+def score_row(
+    name: str, datasets: Sequence[Dataset], workplace: str | os.PathLike[str], level: int = STANDARD_LEVEL
+) -> dict[str, Any]:
+    """Return the scores document of one reference row on some sets.
+
+    Args:
+        name: of the row, one of `ROWS`.
+        datasets: whole splits, one per object.
+        workplace: an empty folder for the predictions files.
+        level: of the grid; other levels than the standard one do not rank.
+
+    Raises:
+        ScoresError: two sets are of one object.
+    """
+    if len({dataset.object for dataset in datasets}) < len(datasets):
+        raise ScoresError("more than one of the sets is of the same object; score one set per object")
+    paths = [Path(workplace) / f"{dataset.object}.h5" for dataset in datasets]
+    scores: list[ObjectScores] = []
+    for path, dataset in zip(paths, datasets, strict=True):
+        ROWS[name](path, dataset, truth_of(dataset), level)
+        scores.append(score_file(path, dataset.folder))
+    return report.to_document(scores, paths)
+
+
+def _even(known: Truth, i: int) -> Rotations:
+    labels = known.labels
+    members = np.flatnonzero(labels.symmetry_mask[i])
+    if len(members) > HYPOTHESES:
+        in_order = members if known.circles is None else _along_arcs(known.circles.index, labels.symmetry_mask[i])
+        members = in_order[((np.arange(HYPOTHESES) + 0.5) * len(in_order) / HYPOTHESES).astype(int)]
+    return labels.rotation[i] @ labels.symmetry_group[members]
+
+
+def _along_arcs(circles: npt.NDArray[np.intp], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+    """Return the members of a set, circle by circle, each from where its longest gap ends."""
+    found = []
+    for circle in circles:
+        steps = np.flatnonzero(mask[circle])
+        if len(steps):
+            gaps = np.diff(steps, prepend=steps[-1] - len(circle))
+            found.append(circle[np.roll(steps, -int(np.argmax(gaps)))])
+    return np.concatenate(found)
+
+
+def _write_classifier(
+    path: Path,
+    dataset: Dataset,
+    claimed: npt.NDArray[np.bool_],
+    on_grid: Sequence[npt.NDArray[np.int64]],
+    method: str,
+    level: int,
+) -> None:
+    """Write a classifier that is certain of some candidates (N, G) and grid rotations, and denies the rest."""
+    queries = Queries(dataset.fingerprint, dataset.symmetry_group)
+    probability = np.zeros((len(claimed), len(queries)), dtype=np.float32)
+    for i, row in enumerate(claimed):
+        asked = np.zeros((1 + DECOY_COSETS, len(row)))
+        asked[0] = row
+        probability[i] = queries.shuffle(i, asked)
+    columns = {"query_probability": probability, **_on_grid(on_grid)}
+    write_columns(path, dataset, "classifier", columns, method=method, grid_level=level)
+
+
+def _on_grid(cells: Sequence[npt.NDArray[np.int64]]) -> dict[str, npt.NDArray[Any]]:
+    indices = np.concatenate(cells)
+    return {
+        "grid_offsets": _offsets(cells),
+        "grid_indices": indices,
+        "grid_probabilities": np.ones(len(indices), dtype=np.float32),
+    }
+
+
+def _offsets(rows: Sequence[npt.NDArray[np.int64]]) -> npt.NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum([len(row) for row in rows])]).astype(np.int64)

@@ -1,0 +1,1 @@
+"""Making a set: who draws its shards, and how they get into its folder."""

@@ -1,0 +1,1 @@
+"""Shards made on a Dask cluster."""

@@ -1,0 +1,38 @@
+"""What a set was made from, found again: its object, camera and settings."""
+
+from pathlib import Path
+
+from symsol_annot.errors import DataError
+from symsol_annot.objects.spec import ObjectSpec, builtin_names, load_object
+from symsol_annot.sets.manifest import Manifest
+from symsol_annot.sets.plan import SetPlan
+
+
+def plan_behind(folder: Path, manifest: Manifest, given: ObjectSpec | None = None) -> SetPlan:
+    """Return the plan that a set was made by, to draw its images again.
+
+    Args:
+        folder: the set's, for messages.
+        manifest: the set's.
+        given: the object, where it is not built in.
+
+    Raises:
+        DataError: the set was imported, or its object is not built in and was not given, or is another one here.
+    """
+    if manifest.is_imported:
+        raise DataError(
+            f"{folder}: was imported, so it cannot be drawn again; `symsol-annot import-symsol` makes it anew"
+        )
+    name = manifest.recipe["object"]
+    if given and given.name == name:
+        spec = given
+    elif name in builtin_names():  # a path of that name would be a stranger's say
+        spec = load_object(name)
+    else:
+        raise DataError(f"{folder}: its object {name!r} is not built in; give its folder with --object")
+    if spec.digest != manifest.recipe["object_sha256"]:
+        raise DataError(
+            f"{folder}: was made from another {name} than the one here (their digests differ); "
+            "give the object's folder with --object"
+        )
+    return SetPlan.of(manifest, spec)

@@ -1,0 +1,1 @@
+"""Objects: a mesh, its symmetry group, its marking."""

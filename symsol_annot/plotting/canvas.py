@@ -1,0 +1,59 @@
+"""matplotlib's figures: made without a display, written whole."""
+
+import io
+import warnings
+from pathlib import Path
+from typing import Any
+
+from symsol_annot.errors import SettingsError
+from symsol_annot.system.extras import check_extra
+from symsol_annot.system.files import write_atomically
+
+# Okabe and Ito's colours, which colour-blind people tell apart
+TRUTH, PREDICTED = "#0072b2", "#d55e00"
+SERIES = (TRUTH, PREDICTED, "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+_UNDRAWABLE = r"Glyph \d+ .* missing from|Matplotlib currently does not support \w+ natively"  # a box stands there
+_DATELESS: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
+
+
+def new_figure(**options: Any) -> Any:
+    """Return a matplotlib Figure that needs no display.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    check_extra("plot", "plotting")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(**options)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def label_text(name: str) -> str:
+    """Return text that matplotlib shows as it is: no `$` begins a formula, no leading `_` hides it from a legend."""
+    escaped = name.replace("$", r"\$")
+    return f" {escaped}" if escaped.startswith("_") else escaped
+
+
+def write_figure(figure: Any, path: Path) -> None:
+    """Write a figure as its path's suffix says: .png, .pdf or .svg; the same figure gives the same bytes.
+
+    Raises:
+        SettingsError: another suffix.
+        OutputError: the file cannot be written.
+    """
+    form = path.suffix.lower().removeprefix(".")
+    if form not in _DATELESS:
+        raise SettingsError(f"{path}: expected a name that ends in .png, .pdf or .svg")
+    from matplotlib import rc_context
+
+    drawn = io.BytesIO()
+    with (
+        rc_context({"svg.hashsalt": "symsol-annot", "pdf.fonttype": 42}),  # ids that are not drawn by lot; real fonts
+        warnings.catch_warnings(),
+    ):
+        warnings.filterwarnings("ignore", _UNDRAWABLE)
+        figure.savefig(drawn, format=form, dpi=100, metadata=_DATELESS[form])
+    write_atomically(path, drawn.getvalue())

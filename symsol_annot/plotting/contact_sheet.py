@@ -1,0 +1,59 @@
+"""Contact sheets: images, segmentations and symmetry sets (figures 2.1 and 5.3)."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.plotting.canvas import new_figure, write_figure
+from symsol_annot.plotting.rotations import draw_pi_ball
+from symsol_annot.sets.dataset import Sample
+
+ID_COLOURS = np.array([[0, 0, 0], [140, 30, 30], [240, 128, 128]], dtype=np.uint8)  # as in figure 5.2
+_COLUMN_INCHES = 2.2
+
+
+def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, has_marking: bool = True) -> None:
+    """Write a picture with each sample's image, its segmentation, and its symmetry set in the pi-ball.
+
+    Args:
+        samples: what to draw, row by row.
+        path: a PNG, PDF or SVG.
+        columns: how many samples a row.
+        has_marking: whether to say over a segmentation how much of the marking shows.
+
+    Raises:
+        OutputError: the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    rows = -(-len(samples) // columns)
+    figure = new_figure(figsize=(3 * _COLUMN_INCHES * columns, (_COLUMN_INCHES + 0.3) * rows), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.02, h_pad=0.03, wspace=0.0, hspace=0.0)
+    for number, sample in enumerate(samples):
+        row, column = divmod(number, columns)
+        places = [(rows, 3 * columns, 3 * columns * row + 3 * column + part + 1) for part in range(3)]
+        _draw_picture(figure.add_subplot(*places[0]), sample.image, f"image {sample.index}")
+        if sample.segmentation is not None:
+            caption = _marking_caption(sample) if has_marking else "segmentation"
+            _draw_picture(figure.add_subplot(*places[1]), ID_COLOURS[sample.segmentation], caption)
+        if sample.symmetry_mask is not None:
+            ball = figure.add_subplot(*places[2], projection="3d")
+            draw_pi_ball(ball, sample.symmetry_set, sample.rotation)
+            ball.set_title(f"|S| = {len(sample.symmetry_set)}", fontsize=8, pad=0)
+    write_figure(figure, path)
+
+
+def _draw_picture(axes: Any, pixels: npt.NDArray[np.uint8], caption: str) -> None:
+    axes.imshow(pixels, interpolation="antialiased")
+    axes.set_title(caption, fontsize=8, pad=2)
+    axes.set(xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set(color="0.8", linewidth=0.6)
+
+
+def _marking_caption(sample: Sample) -> str:
+    if sample.marking_visible:
+        return f"marking shows, {sample.marking_pixels:.4g} px"
+    return "marking hidden" if sample.marking_pixels == 0 else f"hidden, {sample.marking_pixels:.4g} px"

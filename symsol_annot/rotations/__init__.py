@@ -1,0 +1,1 @@
+"""Rotations: distances, groups, the nearest of a set, the equivolumetric grid."""

@@ -1,0 +1,166 @@
+"""The nearest rotations of a finite set, exactly, and of a set that stands for arcs of circles.
+
+One matrix product gives the squared Frobenius distances of all pairs in float64, and eq. 5.6 the angle of the
+smallest. Where rounding would show in it, the differences are formed entry by entry.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, left_cosets, rotations_about
+
+CONTINUOUS_CIRCLE_ORDER = 360  # a circle of steps of 1 degree or less stands for a continuous one
+_CLOSE_SQUARED = 1e-4  # 0.4 degrees; from there on the product's rounding is under 1e-13 rad
+_PAIRS_AT_ONCE = 2**21
+
+
+def nearest_angles(R_a: Rotations, R_b: Rotations) -> Angles:
+    """Return, for each of R_a (a, 3, 3), the angle (a,) in rad to the nearest of R_b (b, 3, 3)."""
+    step = max(1, _PAIRS_AT_ONCE // len(R_b))
+    parts = [R_a[start : start + step] for start in range(0, len(R_a), step)]
+    return np.concatenate([_angles(part, R_b, _squared_distances(part, R_b).min(axis=1)) for part in parts])
+
+
+def nearest_angles_both_ways(R_a: Rotations, R_b: Rotations) -> tuple[Angles, Angles]:
+    """Return the angles from each of R_a to the nearest of R_b, and those back.
+
+    Args:
+        R_a: (..., a, 3, 3) rotations, of any number of images.
+        R_b: (..., b, 3, 3) rotations of as many.
+
+    Returns:
+        (..., a) and (..., b) angles in rad.
+    """
+    squared = _squared_distances(R_b, R_a)  # the longer axis last, where taking minima is fast
+    return _angles(R_a, R_b, squared.min(axis=-2)), _angles(R_b, R_a, squared.min(axis=-1))
+
+
+def _squared_distances(R_a: Rotations, R_b: Rotations) -> npt.NDArray[np.float64]:
+    """Return |A - B|^2 = |A|^2 + |B|^2 - 2 <A, B> for all pairs (..., a, b), with an error of a few 1e-15."""
+    a, b = R_a.reshape(*R_a.shape[:-2], 9), R_b.reshape(*R_b.shape[:-2], 9)
+    squared: npt.NDArray[np.float64] = (-2.0 * a) @ np.swapaxes(b, -1, -2)
+    squared += np.einsum("...i,...i->...", b, b)[..., None, :]
+    squared += np.einsum("...i,...i->...", a, a)[..., None]
+    return squared
+
+
+def _angles(R_a: Rotations, R_b: Rotations, squared: npt.NDArray[np.float64]) -> Angles:
+    """Return eq. 5.6 of the smallest squared distances (..., a).
+
+    For close rotations they are formed again from differences, entry by entry, which loses nothing to rounding.
+    """
+    squared = np.maximum(squared, 0.0)
+    close = np.nonzero(squared < _CLOSE_SQUARED)
+    step = max(1, _PAIRS_AT_ONCE // (9 * R_b.shape[-3]))
+    for start in range(0, len(close[0]), step):
+        at = tuple(axis[start : start + step] for axis in close)
+        squared[at] = np.square(R_a[at][:, None] - R_b[at[:-1]]).sum(axis=(-2, -1)).min(axis=-1)
+    angles: Angles = 2.0 * np.arcsin(np.minimum(np.sqrt(squared) / (2.0 * np.sqrt(2.0)), 1.0))
+    return angles
+
+
+@dataclass(frozen=True, eq=False)
+class Circles:
+    """The full circles that a group consists of: g Rot(axis, k step), k = 0 .. n - 1.
+
+    Attributes:
+        axis: (3,) of the turns, in model coordinates.
+        starts: (c, 3, 3), g of each circle.
+        index: (c, n), the group's index of each element.
+    """
+
+    axis: npt.NDArray[np.float64]
+    starts: Rotations
+    index: npt.NDArray[np.intp]
+
+    @property
+    def step_rad(self) -> float:
+        """The angle from one element to the next."""
+        return 2.0 * np.pi / self.index.shape[1]
+
+
+def find_circles(group: Rotations) -> Circles | None:
+    """Return the circles of a group (G, 3, 3) that discretises a continuous one; None for any other group."""
+    angles = angle_between(group, np.eye(3))
+    angles[0] = np.inf  # the identity
+    step = group[int(np.argmin(angles))]
+    order = round(2.0 * np.pi / float(angles.min())) if len(group) > 1 else 1
+    if order < CONTINUOUS_CIRCLE_ORDER:
+        return None
+    axis = np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
+    axis /= np.linalg.norm(axis)
+    index = left_cosets(group, rotations_about(axis, 2.0 * np.pi * np.arange(order) / order))
+    return Circles(axis, group[index[:, 0]], index)
+
+
+def angles_to_arcs(
+    circles: Circles, R: Rotations, mask: npt.NDArray[np.bool_], R_other: Rotations, to_members: Angles
+) -> Angles:
+    """Return the angles (m,) in rad from R_other (m, 3, 3) to the arcs that join neighbouring members R g of a set.
+
+    Where the nearest point of a whole circle lies between two members, the angle is to that point; elsewhere the
+    nearest is an arc's end, a member.
+
+    Args:
+        circles: of the group.
+        R: (3, 3) the image's rotation.
+        mask: (G,) which g of the group are in the set.
+        R_other: what the angles are from.
+        to_members: (m,) the angles to the nearest members.
+    """
+    starts, steps = R @ circles.starts, circles.index.shape[1]
+    turn = _turns_to_nearest(circles, starts, R_other)  # (m, c)
+    before = turn.astype(int) % steps
+    on_circle = mask[circles.index]
+    every = np.arange(len(starts))
+    on_arc = on_circle[every, before] & on_circle[every, (before + 1) % steps]
+    m, c = np.nonzero(on_arc)
+    points = starts[c] @ rotations_about(circles.axis, turn[m, c] * circles.step_rad)
+    angles = to_members.copy()
+    np.minimum.at(angles, m, angle_between(points, R_other[m]))
+    return angles
+
+
+def nearest_angles_on_circles(
+    circles: Circles, R: Rotations, mask: npt.NDArray[np.bool_], R_other: Rotations
+) -> Angles:
+    """Return what `nearest_angles(R_other, members)` does, in time that does not grow with the set.
+
+    On one circle the distance grows with the turn away from the circle's nearest point, so that the nearest member
+    is the first to its left or to its right.
+    """
+    starts = R @ circles.starts
+    turn = _turns_to_nearest(circles, starts, R_other)
+    best = np.full(len(R_other), np.inf)
+    for c, row in enumerate(circles.index):
+        if mask[row].any():
+            for neighbour in _neighbours(mask[row]):
+                element = neighbour[np.floor(turn[:, c]).astype(int) % len(row)]
+                members = starts[c] @ rotations_about(circles.axis, np.arange(len(row)) * circles.step_rad)
+                np.minimum(best, angle_between(R_other, members[element]), out=best)
+    return best
+
+
+def _turns_to_nearest(circles: Circles, starts: Rotations, R_other: Rotations) -> npt.NDArray[np.float64]:
+    """Return where on each whole circle the point nearest to R_other (m, 3, 3) lies, in steps: (m, c) in [0, n).
+
+    <start Rot(axis, phi), X> = a cos(phi) + b sin(phi) + c, largest at phi = atan2(b, a).
+    """
+    n = circles.axis
+    cross = np.array([[0.0, -n[2], n[1]], [n[2], 0.0, -n[0]], [-n[1], n[0], 0.0]])
+    cosine = (starts @ (np.eye(3) - np.outer(n, n))).reshape(-1, 9)
+    sine = (starts @ cross).reshape(-1, 9)
+    X = R_other.reshape(-1, 9)
+    turn: npt.NDArray[np.float64] = np.arctan2(X @ sine.T, X @ cosine.T) / circles.step_rad
+    return turn % circles.index.shape[1]
+
+
+def _neighbours(on_circle: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return, for the gap after each step k of a circle, the last member at or before k and the first after it."""
+    steps = np.arange(len(on_circle))
+    members = np.flatnonzero(on_circle)
+    at_or_before = members[np.searchsorted(members, steps, side="right") - 1]  # -1 wraps to the last
+    after = members[np.searchsorted(members, steps, side="right") % len(members)]
+    return at_or_before, after

@@ -1,0 +1,1 @@
+"""Image sets in folders: their plan and manifest, loading, checking, counting."""

@@ -1,0 +1,310 @@
+"""Loading a set: shards as samples, without Blender or torch.
+
+test = symsol_annot.load("data/cylO", split="test")
+sample = test[0]
+sample.image, sample.symmetry_set
+"""
+
+import contextlib
+import copy
+import os
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.errors import DamageError, DataError, NotAnnotatedError
+from symsol_annot.rotations.so3 import Rotations, turned
+from symsol_annot.sets.manifest import Manifest, read_manifest
+from symsol_annot.sets.membership import checked_shard
+from symsol_annot.sets.shard.chunks import ByteFile
+from symsol_annot.sets.shard.reader import GROUP, Shard
+from symsol_annot.system.closing import Closing
+from symsol_annot.system.text.names import SPLITS
+
+MAX_OPEN_SHARDS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One image and what is known of it.
+
+    Attributes:
+        index: within the split.
+        image: (H, W, 3) u8 RGB.
+        segmentation: (H, W) u8: 0 background, 1 body, 2 marking. None in an imported set, which has none.
+        rotation: (3, 3) f8, R_m2c, the rotation that the image was drawn at.
+        marking_pixels: the marking's visible area in pixels, p(R_m2c); or the largest p of the coset R_m2c H, where
+            that reaches the object's tolerance and p(R_m2c) does not. 0 without a marking, NaN in an imported set.
+        marking_visible: whether that is at least the object's tolerance; False without a marking, None in an imported
+            set.
+        symmetry_mask: (G,) bool over `symmetry_group`, or None where the split has no symmetry sets.
+        symmetry_group: (G, 3, 3) f8, the body's symmetries.
+    """
+
+    index: int
+    image: npt.NDArray[np.uint8]
+    segmentation: npt.NDArray[np.uint8] | None
+    rotation: Rotations
+    marking_pixels: float
+    marking_visible: bool | None
+    symmetry_mask: npt.NDArray[np.bool_] | None
+    symmetry_group: Rotations
+
+    @property
+    def symmetry_set(self) -> Rotations:
+        """All (k, 3, 3) rotations R_m2c that draw this image, `rotation` among them.
+
+        Raises:
+            NotAnnotatedError: the split has no symmetry sets.
+        """
+        if self.symmetry_mask is None:
+            is_imported = self.segmentation is None
+            raise NotAnnotatedError(f"image {self.index} has no symmetry set: its split {_without_sets(is_imported)}")
+        return self.rotation @ self.symmetry_group[self.symmetry_mask]
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """What is known of a split's N images, without the images.
+
+    Attributes:
+        rotation: (N, 3, 3) f8, R_m2c.
+        symmetry_mask: (N, G) bool over `symmetry_group`.
+        symmetry_group: (G, 3, 3) f8, the body's symmetries, identity first.
+        marking_pixels: (N,) f4, as `Sample.marking_pixels`.
+        marking_visible: (N,) bool, whether that is at least the object's tolerance; False in an imported set, which has
+            sets for bodies without marking alone.
+    """
+
+    rotation: Rotations
+    symmetry_mask: npt.NDArray[np.bool_]
+    symmetry_group: Rotations
+    marking_pixels: npt.NDArray[np.float32]
+    marking_visible: npt.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.rotation)
+
+    def symmetry_set(self, row: int) -> Rotations:
+        """Return all (k, 3, 3) rotations R_m2c that draw image `row`."""
+        return turned(self.rotation[row], self.symmetry_group[self.symmetry_mask[row]])
+
+
+class Dataset(Closing, Sequence[Sample]):
+    """A split of a set as a sequence of samples, read when asked for.
+
+    At its first use a shard is checked, its SHA-256 and the laws of its labels too, and its labels are read; after that
+    an image costs one read and one inflating.
+    A dataset may be used by several threads at once, pickled, and handed to worker processes, forked or spawned. A
+    slice is a dataset over the same files.
+    """
+
+    def __init__(self, folder: Path, split: str, manifest: Manifest, *, check: bool = True) -> None:
+        self.folder, self.split, self.manifest, self._check = folder, split, manifest, check
+        self._place = Path(os.path.abspath(folder))  # noqa: PTH100 - stays right in another working folder
+        self._entries = manifest.of_split(split)
+        self._starts = [entry.first_index for entry in self._entries]
+        self._rows = range(manifest.images(split))
+        self._shards: dict[int, _Shard] = {}
+        self._open: OrderedDict[int, ByteFile] = OrderedDict()  # of those, the files used last
+
+    @property
+    def object(self) -> str:
+        """The object's name."""
+        return str(self.manifest.recipe["object"])
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of every image, in pixels."""
+        camera = self.manifest.recipe["camera"]
+        return camera["width"], camera["height"]
+
+    @property
+    def is_annotated(self) -> bool:
+        """Whether samples have symmetry sets."""
+        return self.manifest.is_annotated(self.split)
+
+    @property
+    def has_marking(self) -> bool:
+        """Whether the object has a marking that images of this set are divided by; no imported set is."""
+        return self.manifest.recipe["tolerance_px"] is not None
+
+    @property
+    def fingerprint(self) -> str:
+        """The SHA-256 that names the split by its contents, whether or not it was rendered with the other split."""
+        return str(self.manifest.split_fingerprint(self.split))
+
+    @property
+    def symmetry_group(self) -> Rotations:
+        """The (G, 3, 3) symmetries of the object's body, identity first."""
+        return self._opened(0)[0].symmetry_group
+
+    def labels(self) -> Labels:
+        """Read the labels of all images at once, without the images.
+
+        Raises:
+            NotAnnotatedError: the split has no symmetry sets.
+            DataError: a shard is missing or damaged.
+        """
+        if not self.is_annotated:
+            without_sets = _without_sets(self.manifest.is_imported)
+            raise NotAnnotatedError(f"{self.folder}: the {self.split} split {without_sets}")
+        rows = list(self._rows)
+        columns = [self._labels_of(number) for number in range(len(self._entries))]
+        rotation, mask, pixels, visible = (np.concatenate(column)[rows] for column in zip(*columns, strict=True))
+        return Labels(rotation, mask, self.symmetry_group, pixels, visible)
+
+    def shard_numbers(self) -> npt.NDArray[np.int64]:
+        """Return the number (n,) of the shard that holds each image, counted within the split; no file is read."""
+        indices = np.arange(self._rows.start, self._rows.stop, self._rows.step)
+        return np.searchsorted(self._starts, indices, side="right").astype(np.int64) - 1
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @overload
+    def __getitem__(self, item: int) -> Sample: ...
+
+    @overload
+    def __getitem__(self, item: slice) -> "Dataset": ...
+
+    def __getitem__(self, item: int | slice) -> "Sample | Dataset":
+        if isinstance(item, slice):
+            part = copy.copy(self)
+            part.__dict__ |= {"_rows": self._rows[item], "_shards": {}, "_open": OrderedDict()}
+            return part
+        try:
+            index = self._rows[item]
+        except IndexError:
+            raise IndexError(f"index {item} is out of range: {self!r} has {len(self)} images") from None
+        number = bisect_right(self._starts, index) - 1
+        shard, file = self._opened(number)
+        return shard.sample(index, file)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[i] for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"<{self.object} {self.split}: {len(self)} images in {self.folder}>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_shards": {}, "_open": OrderedDict()}
+
+    def _labels_of(self, number: int) -> tuple[npt.NDArray[Any], ...]:
+        shard, _ = self._opened(number)
+        if not np.array_equal(shard.symmetry_group, self.symmetry_group):
+            path = self.folder / self._entries[number].file
+            raise DataError(f"{path}: its symmetry_group is not the first shard's")
+        return shard.labels()
+
+    def close(self) -> None:
+        """Close the files; the next access opens them again."""
+        self._open.clear()
+        self._shards.clear()
+
+    def _opened(self, number: int) -> "tuple[_Shard, ByteFile]":
+        """Return a shard and its open file; whatever other threads do meanwhile, both are good to read from."""
+        shard, file = self._shards.get(number), self._open.pop(number, None)
+        if shard is None:
+            shard, file = self._opened_first(number)
+        if file is None:
+            file = shard.open()
+        while len(self._open) >= MAX_OPEN_SHARDS:
+            with contextlib.suppress(KeyError):  # another thread was faster
+                self._open.popitem(last=False)
+        self._open[number] = file
+        return shard, file
+
+    def _opened_first(self, number: int) -> "tuple[_Shard, ByteFile]":
+        """Check a shard, and return it with the file that was checked."""
+        entry = self._entries[number]
+        opened, labels = checked_shard(self._place, self.manifest, entry, check=self._check)
+        shard = self._shards[number] = _Shard(opened, labels, entry.first_index)
+        return shard, opened.file
+
+
+class _Shard:
+    """What is known of a shard that was checked: its labels, and where its images lie."""
+
+    def __init__(self, shard: Shard, labels: Mapping[str, Any], first_index: int) -> None:
+        self._path, self._identity, self._first_index = shard.path, shard.file.identity, first_index
+        self._tolerance_px = float(shard.attributes.get("tolerance_px", np.nan))
+        self._image, self._segmentation = shard.arrays["image"], shard.arrays.get("segmentation")
+        self._rotation, self._mask = labels["rotation"], labels.get("symmetry_mask")
+        self._pixels = labels.get("marking_pixels", np.full(len(shard), np.nan, dtype=np.float32))
+        self.symmetry_group: Rotations = labels[GROUP]
+        self.symmetry_group.setflags(write=False)  # all samples share it
+
+    def open(self) -> ByteFile:
+        """Open the file, which has to be the one that was checked."""
+        try:
+            file = ByteFile(self._path)
+        except OSError as error:
+            raise DataError(f"{self._path}: cannot be opened again: {error.strerror}") from None
+        if file.identity != self._identity:
+            raise DataError(f"{self._path}: was replaced after it was opened; load the set again")
+        return file
+
+    def sample(self, index: int, file: ByteFile) -> Sample:
+        row = index - self._first_index
+        pixels, is_imported = float(self._pixels[row]), self._segmentation is None
+        try:
+            return Sample(
+                index=index,
+                image=self._image.row(row, file),
+                segmentation=None if self._segmentation is None else self._segmentation.row(row, file),
+                rotation=self._rotation[row].copy(),
+                marking_pixels=pixels,
+                marking_visible=None if is_imported else pixels >= self._tolerance_px,  # False where that is NaN
+                symmetry_mask=None if self._mask is None else self._mask[row].copy(),
+                symmetry_group=self.symmetry_group,
+            )
+        except DamageError as error:
+            raise DataError(f"{self._path}: {error}. `symsol-annot verify` checks the whole set") from None
+
+    def labels(self) -> tuple[npt.NDArray[Any], ...]:
+        """Return rotation, symmetry_mask, marking_pixels and whether the marking shows, of all rows."""
+        if self._mask is None:
+            raise DataError(f"{self._path}: labels cannot be read: it has no symmetry_mask")
+        return self._rotation, self._mask, self._pixels, self._pixels >= self._tolerance_px
+
+
+def _without_sets(is_imported: bool) -> str:  # noqa: FBT001
+    """Say why a split has no symmetry sets."""
+    if is_imported:
+        return "was imported from a source that gives no symmetry sets for it: none are known"
+    return "was rendered without symmetry sets; `symsol-annot render --annotate all` gives every split its sets"
+
+
+def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = True) -> Dataset:
+    """Open a split of a set, like `load("data/cylO", split="test")`.
+
+    Args:
+        folder: the set's folder, which holds its manifest.json; a relative path is one of the present working folder.
+        split: "train" or "test".
+        check: whether a shard's size and SHA-256 are compared with the manifest's at its first use, which reads all of
+            it once. For a huge set that `symsol-annot verify` has checked, `check=False` leaves that out; structure and
+            labels are checked nonetheless, and each image that is read against gzip's adler32.
+
+    Raises:
+        DataError: the folder holds no set, the split is not in it, or shards of it are missing.
+    """
+    path = Path(folder)
+    manifest = read_manifest(path)
+    there = [name for name in SPLITS if manifest.images(name)]
+    if split not in there:
+        raise DataError(f"{path}: has no split {split!r}; it has {', '.join(there)}")
+    entries = manifest.of_split(split)
+    missing = [entry.file for entry in entries if not entry.is_finished or not (path / entry.file).is_file()]
+    if missing:
+        raise DataError(
+            f"{path}: {len(missing)} of {len(entries)} {split} shards are missing, the first {missing[0]}; "
+            f"the same `symsol-annot {'import-symsol' if manifest.is_imported else 'render'}` command makes them"
+        )
+    return Dataset(path, split, manifest, check=check)

@@ -1,0 +1,346 @@
+"""manifest.json: what a set consists of, beside its shards.
+
+It is written before the first shard, says of each shard that is finished what its bytes are, and carries a
+digest of itself. `fingerprint` names the finished set by its contents.
+"""
+
+import hashlib
+import json
+import math
+import re
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from symsol_annot.errors import DataError, SettingsError
+from symsol_annot.rendering.scene import SIZE_RANGE, Camera, RenderSettings
+from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, UNKNOWN_WHERE_IMPORTED, ShardHeader, shard_file_name
+from symsol_annot.system.files import write_atomically
+from symsol_annot.system.reading import read_bytes
+from symsol_annot.system.text.names import SPLITS, is_object_name
+
+MANIFEST_NAME = "manifest.json"
+MANIFEST_FORMAT = "symsol-annot set"
+MANIFEST_FORMAT_VERSION = 1
+MAX_MANIFEST_BYTES = 2**24  # 50,000 shards; JSON takes up to 25 times its size in memory
+ANNOTATE_CHOICES = ("all", "test", "none")
+MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
+_BESIDES_PIXELS_BYTES = 2**23  # of a shard: the labels of 500 images over 7,200 symmetries, the group, the attributes
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_SOURCE_NAME_CHARACTERS = 200
+
+
+@dataclass(frozen=True)
+class ShardEntry:
+    """One shard of the plan; the last three are None until it is finished.
+
+    Attributes:
+        file: its name in the folder.
+        split: "train" or "test".
+        first_index: the index within the split of its first image.
+        images: how many it holds.
+        bytes: the file's size.
+        sha256: of the file.
+        content_sha256: of its arrays, as `shards.content_sha256`.
+    """
+
+    file: str
+    split: str
+    first_index: int
+    images: int
+    bytes: int | None = None
+    sha256: str | None = None
+    content_sha256: str | None = None
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the shard was written."""
+        return self.sha256 is not None
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A set: what it was made from, and its shards.
+
+    Attributes:
+        recipe: what decides the contents: object, object_sha256, seed, camera, render, tolerance_px, annotate; of an
+            imported set also source, and None for what is not known.
+        shards: all planned shards, train before test, in order.
+    """
+
+    recipe: dict[str, Any]
+    shards: tuple[ShardEntry, ...]
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether every shard was written."""
+        return all(shard.is_finished for shard in self.shards)
+
+    @property
+    def fingerprint(self) -> str | None:
+        """The SHA-256 over object, seed, camera and contents of a finished set; None before."""
+        return self._digest(self.shards) if self.is_finished else None
+
+    @property
+    def plan_sha256(self) -> str:
+        """The SHA-256 of what the set is to be, the same before and after it is made."""
+        return _sha256_of_json([self.recipe, [[shard.file, shard.first_index, shard.images] for shard in self.shards]])
+
+    def split_fingerprint(self, split: str) -> str | None:
+        """Return the same over one split alone, so that it does not depend on whether the other was rendered."""
+        shards = self.of_split(split)
+        return self._digest(shards) if shards and all(shard.is_finished for shard in shards) else None
+
+    def of_split(self, split: str) -> tuple[ShardEntry, ...]:
+        """Return a split's shards in order."""
+        return tuple(shard for shard in self.shards if shard.split == split)
+
+    def images(self, split: str) -> int:
+        """Return how many images a split has."""
+        return sum(shard.images for shard in self.of_split(split))
+
+    @property
+    def is_imported(self) -> bool:
+        """Whether the images are from somewhere else, so that hardly anything is known of how they were made."""
+        return "source" in self.recipe
+
+    def is_annotated(self, split: str) -> bool:
+        """Tell whether a split carries symmetry sets."""
+        return self.recipe["annotate"] in ("all", split)
+
+    def header(self, entry: ShardEntry, versions: dict[str, str]) -> ShardHeader:
+        """Return what a shard of this set says of itself, made with such software."""
+        recipe = self.recipe
+        tolerance_px = recipe["tolerance_px"]
+        if tolerance_px is None and not self.is_imported:
+            tolerance_px = math.nan
+        return ShardHeader(
+            object=recipe["object"],
+            object_sha256=recipe["object_sha256"],
+            split=entry.split,
+            first_index=entry.first_index,
+            seed=recipe["seed"],
+            camera=recipe["camera"],
+            render=recipe["render"],
+            tolerance_px=tolerance_px,
+            versions=versions,
+            source=recipe.get("source"),
+        )
+
+    def expected_attributes(self, entry: ShardEntry) -> dict[str, Any]:
+        """Return the attributes that a shard of this set carries, but for the software's versions."""
+        attributes = self.header(entry, versions={}).to_attributes()
+        del attributes["versions"]
+        return attributes
+
+    def with_finished(self, entry: ShardEntry) -> "Manifest":
+        """Return the manifest with one shard's entry replaced."""
+        return replace(self, shards=tuple(entry if shard.file == entry.file else shard for shard in self.shards))
+
+    def differences(self, other: "Manifest") -> list[str]:
+        """Say in what the plan of another set differs: one line each."""
+        pairs = [(key, other.recipe.get(key), value) for key, value in self.recipe.items()]
+        pairs += [(f"{split} images", other.images(split), self.images(split)) for split in SPLITS]
+        lines = [f"{what}: there {theirs!r}, asked for {ours!r}" for what, theirs, ours in pairs if theirs != ours]
+        plans = [[(s.file, s.first_index, s.images) for s in manifest.shards] for manifest in (self, other)]
+        if not lines and plans[0] != plans[1]:
+            lines.append("the division into shards")
+        return lines
+
+    def _digest(self, shards: tuple[ShardEntry, ...]) -> str:
+        made_from = {key: self.recipe[key] for key in ("object", "object_sha256", "seed", "camera")}
+        contents = [[shard.split, shard.first_index, shard.images, shard.content_sha256] for shard in shards]
+        return _sha256_of_json({**made_from, "contents": contents})
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write a set's manifest.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    write_atomically(folder / MANIFEST_NAME, _serialise(manifest))
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read a set's manifest and check it against its own digest.
+
+    Raises:
+        DataError: it is missing, damaged, or of another format version.
+    """
+    path = folder / MANIFEST_NAME
+    try:
+        data = read_bytes(path, MAX_MANIFEST_BYTES)
+        document = json.loads(data)
+    except FileNotFoundError:
+        raise DataError(f"{folder}: holds no {MANIFEST_NAME}; {_hint(folder)}") from None
+    except NotADirectoryError:
+        raise DataError(f"{folder}: is a file; a set is a folder, like data/cylO") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: cannot be read as JSON: {error}") from None
+    if not isinstance(document, dict) or document.get("format") != MANIFEST_FORMAT:
+        raise DataError(f"{path}: is no manifest of a set ('format' is not {MANIFEST_FORMAT!r})")
+    found = document.get("format_version")
+    if type(found) is int and found > MANIFEST_FORMAT_VERSION:
+        raise DataError(
+            f"{path}: is of format version {found}, newer than {MANIFEST_FORMAT_VERSION}, which this symsol-annot "
+            "reads: update it"
+        )
+    if found != MANIFEST_FORMAT_VERSION:
+        raise DataError(f"{path}: this version reads format_version {MANIFEST_FORMAT_VERSION}, found {found!r}")
+    try:
+        manifest = _from_document(document)
+        is_whole = _serialise(manifest) == data
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError, SettingsError):
+        is_whole = False
+    if not is_whole:
+        raise DataError(
+            f"{path}: is damaged or was edited: its bytes are not the ones that its own digests stand for. "
+            "Fetch it again, or render the set again"
+        )
+    return manifest
+
+
+def _serialise(manifest: Manifest) -> bytes:
+    document = _to_document(manifest)
+    document["manifest_sha256"] = _sha256_of_json(document)
+    return (json.dumps(document, indent=1) + "\n").encode()
+
+
+def _to_document(manifest: Manifest) -> dict[str, Any]:
+    splits = {}
+    for split in SPLITS:
+        shards = [
+            {
+                "file": shard.file,
+                "first_index": shard.first_index,
+                "images": shard.images,
+                "bytes": shard.bytes,
+                "sha256": shard.sha256,
+                "content_sha256": shard.content_sha256,
+            }
+            for shard in manifest.of_split(split)
+        ]
+        if shards:
+            splits[split] = {
+                "images": manifest.images(split),
+                "annotated": manifest.is_annotated(split),
+                "fingerprint": manifest.split_fingerprint(split),
+                "shards": shards,
+            }
+    return {
+        "format": MANIFEST_FORMAT,
+        "format_version": MANIFEST_FORMAT_VERSION,
+        **manifest.recipe,
+        "fingerprint": manifest.fingerprint,
+        "splits": splits,
+    }
+
+
+def _from_document(document: dict[str, Any]) -> Manifest:
+    not_recipe = ("format", "format_version", "fingerprint", "splits", "manifest_sha256")
+    recipe = {key: value for key, value in document.items() if key not in not_recipe}
+    shards = tuple(
+        ShardEntry(split=split, **shard)
+        for split in SPLITS
+        for shard in document["splits"].get(split, {}).get("shards", [])
+    )
+    manifest = Manifest(recipe, shards)
+    _check_types(manifest)
+    return manifest
+
+
+def _check_types(manifest: Manifest) -> None:
+    """Raise a ValueError or TypeError where a setting is none, or shards do not follow on."""
+    recipe = manifest.recipe
+    expected = ["object", "object_sha256", "seed", "camera", "render", "tolerance_px", "annotate"]
+    _require(set(recipe) == {*expected, *(["source"] if manifest.is_imported else [])}, "unknown fields")
+    _require(is_object_name(recipe["object"]), "object")
+    _require(type(recipe["annotate"]) is str and recipe["annotate"] in ANNOTATE_CHOICES, "annotate")
+    if manifest.is_imported:
+        _check_source(recipe)
+    else:
+        _check_rendered(recipe)
+    for split in SPLITS:
+        following, shards = 0, manifest.of_split(split)
+        for number, shard in enumerate(shards):
+            name = shard_file_name(split, number, len(shards))
+            _require(type(shard.first_index) is int and type(shard.images) is int, shard.file)
+            _require(shard.file == name and shard.first_index == following, shard.file)
+            _require(1 <= shard.images <= MAX_IMAGES_PER_SHARD, shard.file)
+            _require(_is_finished_or_not(shard, recipe["camera"]), shard.file)
+            following += shard.images
+
+
+def _check_rendered(recipe: dict[str, Any]) -> None:
+    camera = recipe["camera"]
+    _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
+    _require(all(_is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
+    _require(_is_real(camera["distance"]) and camera["distance"] > 1, "camera: its distance")
+    _require(_is_real(camera["focal_px"]) and camera["focal_px"] > 0, "camera: its focal length")
+    RenderSettings.from_dict(recipe["render"])
+    _require(_is_sha256(recipe["object_sha256"]), "object_sha256")
+    _require(_is_whole(recipe["seed"], 0, MAX_SEED), "seed")
+    tolerance_px = recipe["tolerance_px"]
+    _require(tolerance_px is None or (_is_real(tolerance_px) and tolerance_px > 0), "tolerance_px")
+
+
+def _check_source(recipe: dict[str, Any]) -> None:
+    camera, source = recipe["camera"], recipe["source"]
+    _require(all(recipe[name] is None for name in UNKNOWN_WHERE_IMPORTED), "what an import cannot know")
+    _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
+    _require(all(_is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
+    _require(camera["distance"] is None and camera["focal_px"] is None, "camera")
+    texts, counts = ("name", "convention"), ("rotations_listed", "duplicates_removed")
+    _require(type(source) is dict and set(source) == {*texts, *counts, "sha256", "transposed"}, "source")
+    _require(all(_is_short_text(source[name]) for name in texts), "source")
+    _require(all(_is_whole(source[name], 0, 2**31) for name in counts), "source")
+    _require(_is_sha256(source["sha256"]) and type(source["transposed"]) is bool, "source")
+
+
+def _is_finished_or_not(shard: ShardEntry, camera: dict[str, Any]) -> bool:
+    found = (shard.bytes, shard.sha256, shard.content_sha256)
+    if found == (None, None, None):
+        return True
+    pixels = shard.images * camera["width"] * camera["height"]
+    most = _BESIDES_PIXELS_BYTES + 5 * pixels  # RGB and segmentation, which compressing hardly lengthens
+    return _is_whole(shard.bytes, 1, most) and _is_sha256(shard.sha256) and _is_sha256(shard.content_sha256)
+
+
+def _require(is_right: bool, what: str) -> None:  # noqa: FBT001
+    if not is_right:
+        raise ValueError(what)
+
+
+def _is_whole(value: Any, least: int, most: int) -> bool:
+    return type(value) is int and least <= value <= most
+
+
+def _is_real(value: Any) -> bool:
+    return type(value) is float and math.isfinite(value)
+
+
+def _is_sha256(value: Any) -> bool:
+    return isinstance(value, str) and _SHA256.fullmatch(value) is not None
+
+
+def _is_short_text(value: Any) -> bool:
+    return isinstance(value, str) and value.isprintable() and len(value) <= _SOURCE_NAME_CHARACTERS
+
+
+def shards_in(folder: Path) -> list[str]:
+    """Return the names of a folder's HDF5 files, whoever made them, but for hidden ones like macOS' ._x.h5."""
+    return sorted(path.name for path in folder.glob("*.h5") if not path.name.startswith("."))
+
+
+def _hint(folder: Path) -> str:
+    sets = sorted(path.parent.name for path in folder.glob(f"[!.]*/{MANIFEST_NAME}"))
+    if sets:
+        return f"it has sets inside: {', '.join(str(folder / name) for name in sets)}"
+    return "a set is a folder that `symsol-annot render` made, like data/cylO"
+
+
+def _sha256_of_json(document: Any) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

@@ -1,0 +1,1 @@
+"""The HDF5 shard: its header, its writer and its reader."""

@@ -1,0 +1,69 @@
+"""Counts over a split: how often the marking shows, how large the symmetry sets are."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from symsol_annot.sets.manifest import Manifest
+from symsol_annot.sets.membership import checked_shard
+
+_FEW_SIZES = 12
+
+
+@dataclass
+class SplitStatistics:
+    """Counts over the finished shards of a split.
+
+    Attributes:
+        has_marking: whether the object has one.
+        is_annotated: whether the split has symmetry sets.
+        is_imported: whether only the sets' sizes can be counted.
+        images: how many images were counted.
+        shown: how many of them show the marking.
+        set_sizes: |S|: how many images have a set of this size.
+        candidates_drawn: of how many candidates the marking's area was needed.
+        candidates_within_tolerance: of how many of these it was below the tolerance but not 0.
+    """
+
+    has_marking: bool
+    is_annotated: bool
+    is_imported: bool = False
+    images: int = 0
+    shown: int = 0
+    set_sizes: Counter[int] = field(default_factory=Counter)
+    candidates_drawn: int = 0
+    candidates_within_tolerance: int = 0
+
+
+def split_statistics(folder: Path, manifest: Manifest, split: str) -> SplitStatistics:
+    """Count over the finished shards of a split, without reading its images.
+
+    Raises:
+        DataError: a shard is missing or broken.
+    """
+    has_marking = manifest.recipe["tolerance_px"] is not None
+    statistics = SplitStatistics(has_marking, manifest.is_annotated(split), manifest.is_imported)
+    for entry in manifest.of_split(split):
+        if not entry.is_finished:
+            continue
+        shard, labels = checked_shard(folder, manifest, entry)
+        statistics.images += len(shard)
+        if shard.is_annotated:
+            statistics.set_sizes.update(labels["symmetry_mask"].sum(axis=1).tolist())
+        if statistics.is_imported:
+            continue
+        shown = labels["marking_pixels"] >= float(shard.attributes["tolerance_px"])
+        statistics.shown += int(np.count_nonzero(shown))
+        statistics.candidates_drawn += int(shard.attributes["candidates_drawn"])
+        statistics.candidates_within_tolerance += int(shard.attributes["candidates_within_tolerance"])
+    return statistics
+
+
+def sizes_in_words(set_sizes: Counter[int]) -> str:
+    """Say which sizes symmetry sets have: each of a few, else the span and the median of those larger than 1."""
+    if len(set_sizes) <= _FEW_SIZES:
+        return ", ".join(f"{size} in {count}" for size, count in sorted(set_sizes.items()))
+    several = sorted(size for size, count in set_sizes.items() for _ in range(count) if size > 1)
+    return f"1 in {set_sizes.get(1, 0)}, else {several[0]} to {several[-1]}, median {several[len(several) // 2]}"

@@ -1,0 +1,115 @@
+"""Checking a set on disk: that it is whole, and that what it says holds together. It reads and never writes."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.errors import DataError, first_of
+from symsol_annot.rendering.scene import MARKING
+from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.manifest import Manifest, ShardEntry, read_manifest, shards_in
+from symsol_annot.sets.membership import membership_faults
+from symsol_annot.sets.shard.laws import label_faults, labels_of
+from symsol_annot.sets.shard.reader import GROUP, Shard, content_sha256, open_shard
+from symsol_annot.system.reading import file_sha256
+
+Flags: TypeAlias = npt.NDArray[np.bool_]
+
+_LISTED_ROWS = 5
+
+
+def verify(folder: Path, on_shard: Callable[[], object] = lambda: None) -> list[str]:
+    """Return all faults of a set, one line each; none for a good one.
+
+    Checksums are compared before HDF5 opens a file, so a damaged shard is named as that and read no further.
+
+    Args:
+        folder: the set's folder.
+        on_shard: called after each shard.
+
+    Raises:
+        DataError: the folder holds no readable manifest, so there is nothing to check against.
+    """
+    manifest = read_manifest(folder)
+    faults = _folder_faults(folder, manifest)
+    first = _FirstShard()
+    for entry in manifest.shards:
+        faults += [f"{entry.file}: {fault}" for fault in _shard_faults(folder, manifest, entry, first)]
+        on_shard()
+    return faults
+
+
+def _folder_faults(folder: Path, manifest: Manifest) -> list[str]:
+    expected = {entry.file for entry in manifest.shards}
+    found = set(shards_in(folder))
+    faults = [f"{name}: is no shard of this set; move it elsewhere" for name in sorted(found - expected)]
+    faults += [
+        f"{entry.file}: was never finished; the same render command makes it"
+        for entry in manifest.shards
+        if not entry.is_finished
+    ]
+    return faults
+
+
+def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, first: "_FirstShard") -> list[str]:
+    if not entry.is_finished:
+        return []
+    path = folder / entry.file
+    try:
+        found_bytes = path.stat().st_size
+        if path.is_file() and found_bytes != entry.bytes:  # so no more is read than the manifest says
+            return [f"is damaged: expected {entry.bytes} bytes, found {found_bytes}"]
+        sha256 = file_sha256(path)
+    except OSError as error:
+        return [f"is missing or cannot be read: {error.strerror}"]
+    if sha256 != entry.sha256:
+        return [f"is damaged: expected SHA-256 {entry.sha256}, found {sha256}"]
+    faults: list[str] = []
+    try:
+        with open_shard(path) as shard:
+            for found in (
+                membership_faults(shard, manifest, entry),
+                _content_faults(shard, entry),
+                first.faults_of(shard),
+            ):
+                faults += found
+    except DataError as error:
+        faults.append(str(error))
+    return faults
+
+
+def _content_faults(shard: Shard, entry: ShardEntry) -> Iterator[str]:
+    """Yield what no image set can hold, whatever its checksums say."""
+    yield from label_faults(shard, labels_of(shard))
+    if not shard.is_imported:
+        yield from _segmentation_faults(shard)
+    if content_sha256(shard) != entry.content_sha256:
+        yield f"its arrays do not have the digest content_sha256 {entry.content_sha256}"
+
+
+def _segmentation_faults(shard: Shard) -> Iterator[str]:
+    most = [int(ids.max()) for ids in shard.rows("segmentation")]
+    first = int(shard.attributes["first_index"])
+    stray = [str(first + row) for row, highest in enumerate(most) if highest > MARKING or highest == 0]
+    if stray:
+        yield f"segmentation: image {first_of(stray, _LISTED_ROWS)}: holds an id outside 0, 1, 2, or no object"
+
+
+class _FirstShard:
+    """What the first shard that was read holds and all others must hold too."""
+
+    def __init__(self) -> None:
+        self._group: Rotations | None = None
+        self._versions = ""
+
+    def faults_of(self, shard: Shard) -> Iterator[str]:
+        group, versions = shard.read(GROUP), str(shard.attributes["versions"])
+        if self._group is None:
+            self._group, self._versions = group, versions
+        if not np.array_equal(self._group, group):
+            yield "symmetry_group: is not that of the set's first shard"
+        if versions != self._versions:
+            yield f"versions: made with other software than the set's first shard: {versions}"

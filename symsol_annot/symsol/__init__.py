@@ -1,0 +1,1 @@
+"""The original SYMSOL's zip, imported as sets."""

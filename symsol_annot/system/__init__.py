@@ -1,0 +1,1 @@
+"""What this program needs of a machine: files, locks, scratch folders, processes, text."""

@@ -1,0 +1,173 @@
+"""What geometry says of a marking holds for what is drawn: by a ray caster, by Blender, and in whole sets."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from made_sets import make_plan, make_set, pixels_of, threads
+from numpy_renderer import NumpyRenderer
+from oracle import cast_samples
+
+from symsol_annot.annotation.annotate import annotate
+from symsol_annot.annotation.visibility import MarkingVisibility, is_convex
+from symsol_annot.generation.generate import generate
+from symsol_annot.generation.maker import visibility_of
+from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.render_process import RenderProcess
+from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
+
+SIZE = 48
+
+
+def visibility(name, size=SIZE, engine="workbench"):
+    return MarkingVisibility(load_object(name).mesh, Camera.filling(size), RenderSettings(engine))
+
+
+def grazing(name, count, seed, within_deg):
+    """Return rotations under which a marking's middle faces the camera by a right angle but for `within_deg`."""
+    rng = np.random.default_rng(seed)
+    spec = load_object(name)
+    mesh = spec.mesh
+    corners = mesh.vertices[mesh.triangles[mesh.is_marking]]
+    middle = mesh.marking_vertices.mean(axis=0)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = normals.sum(axis=0) / np.linalg.norm(normals.sum(axis=0))
+    found = []
+    for R in uniform_rotations(count, rng):
+        eye = -np.array([0, 0, 4.0]) - R @ middle  # towards the camera
+        eye /= np.linalg.norm(eye)
+        axis = np.cross(R @ normal, eye)
+        facing = np.arctan2(np.linalg.norm(axis), R @ normal @ eye)
+        wanted = np.pi / 2 + np.radians(rng.uniform(-within_deg, within_deg))
+        found.append(rotations_about(axis, facing - wanted) @ R)  # about the centre, so that it is nearly grazing
+    return np.stack(found)
+
+
+def count_with_moved_vertices(mesh, R, moves):
+    """Return the marking's samples as a rasteriser counts them that moves vertex k, once projected, by moves[k]."""
+    lattice = Camera.filling(SIZE).lattice(2)
+    world = mesh.vertices @ R.T
+    points, closeness = lattice.project(world) + moves, 1.0 / (world[:, 2] + lattice.distance)
+    marked = points[np.unique(mesh.triangles[mesh.is_marking])]
+    low, high = np.floor(marked.min(axis=0)) - 1, np.ceil(marked.max(axis=0)) + 1
+    corners = points[mesh.triangles]
+    beside = (corners.max(axis=1) >= low).all(axis=1) & (corners.min(axis=1) <= high).all(axis=1)
+    (a, b), (c, d) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    beside &= a * d < b * c  # counter-clockwise, v downwards: the others are culled
+    triangles, is_marking = mesh.triangles[beside], mesh.is_marking[beside]
+    u, v = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
+    seen = points[triangles, None] - np.stack([u.ravel(), v.ravel()], axis=-1)  # (T, 3, samples, 2)
+    after = np.roll(seen, -1, axis=1)
+    opposite = np.roll(seen[..., 1] * after[..., 0] - seen[..., 0] * after[..., 1], -1, axis=1)  # a corner's weight
+    drawn = (opposite > 0).all(axis=1)
+    weights = np.where(drawn[:, None], opposite, 1.0)
+    depths = (weights * closeness[triangles, None]).sum(axis=1) / weights.sum(axis=1)
+    depths = np.where(drawn, depths, -np.inf)
+    return np.count_nonzero(is_marking[depths.argmax(axis=0)] & drawn.any(axis=0))
+
+
+def test_all_built_in_bodies_are_convex_and_a_dented_one_is_not():
+    for name in ("tet", "cube", "icosa", "cone", "cyl", "tetX", "cylO"):
+        assert is_convex(load_object(name).mesh), name
+    cube = load_object("cube").mesh
+    dented = cube.vertices.copy()
+    dented[0] *= 0.3
+    assert not is_convex(replace(cube, vertices=dented))
+
+
+@pytest.mark.parametrize("name", ["tetX", "cylO"])
+@pytest.mark.parametrize("enough", [1, 20, 10**9])
+def test_a_ray_casters_count_lies_between_the_bounds(name, enough):
+    rotations = np.concatenate(
+        [uniform_rotations(25, np.random.default_rng(0)), grazing(name, 25, seed=1, within_deg=6)]
+    )
+    lower, upper = visibility(name).bounds(rotations, enough)
+    counts = np.array([np.count_nonzero(cast_samples(name, R, SIZE) == 2) for R in rotations])
+    assert ((lower <= counts) & (counts <= upper)).all()
+    assert len({*np.sign(counts)}) == 2  # both kinds of view were among them
+
+
+@pytest.mark.parametrize("name", ["tetX", "cylO"])
+@pytest.mark.parametrize("shift", [0.02, 0.1])
+def test_however_vertices_are_moved_the_count_lies_between_the_bounds(name, shift, monkeypatch):
+    monkeypatch.setattr("symsol_annot.annotation.visibility.vertex_shift", lambda camera, settings: shift)
+    mesh, rng = load_object(name).mesh, np.random.default_rng(8)
+    rotations = grazing(name, 150, seed=9, within_deg=1.5 if name == "tetX" else 14)
+    signs = np.sign(rng.uniform(-1, 1, (len(rotations), 4, len(mesh.vertices), 2)))
+    signs[:, 0] = 0  # once as they are
+    counts = np.array(
+        [
+            [count_with_moved_vertices(mesh, R, shift * move) for move in moves]
+            for R, moves in zip(rotations, signs, strict=True)
+        ]
+    )
+    assert (counts.min(axis=1) < counts.max(axis=1)).any()  # else the moves test nothing
+    for enough in (1, 10**9):
+        lower, upper = visibility(name).bounds(rotations, enough)
+        assert (lower <= counts.min(axis=1)).all()
+        assert (counts.max(axis=1) <= upper).all()
+
+
+def test_bounds_asked_for_in_full_are_close():
+    rotations = uniform_rotations(40, np.random.default_rng(2))
+    lower, upper = visibility("tetX", 224).bounds(rotations, 10**9)
+    assert (upper - lower <= 0.01 * upper + 8).all()
+
+
+def test_few_candidates_are_left_open_and_none_where_the_marking_is_far_from_the_rim():
+    spec, R = load_object("cylO"), uniform_rotations(12, np.random.default_rng(3))
+    areas = [visibility("cylO", 224).areas(one @ spec.symmetry_group, 0.125) for one in R]
+    assert np.mean([np.isnan(a).sum() for a in areas]) < 2
+    assert all(np.isfinite(a).sum() > 710 for a in areas)
+
+
+def test_most_views_that_show_the_marking_are_decided_without_counting():
+    spec, R = load_object("cylO"), uniform_rotations(1, np.random.default_rng(3))[0]
+    lower, upper = visibility("cylO", 224).bounds(R @ spec.symmetry_group, 1)
+    assert np.mean(upper[lower > 0] == np.iinfo(np.int64).max) > 0.8
+
+
+def test_sets_annotated_by_geometry_and_by_drawing_every_candidate_have_the_same_bytes(tmp_path):
+    plan = make_plan("tetX", test=40)
+    by_geometry = make_set(tmp_path / "a", "tetX", test=40)
+    generate(plan, tmp_path / "b" / "tetX", threads(partial(NumpyRenderer, "tetX", plan.camera.width), exhaustive=True))
+    files = sorted(path.name for path in by_geometry.iterdir())
+    assert files == sorted(path.name for path in (tmp_path / "b" / "tetX").iterdir())
+    for name in files:
+        assert (by_geometry / name).read_bytes() == (tmp_path / "b" / "tetX" / name).read_bytes()
+
+
+def test_a_body_that_is_not_convex_is_annotated_by_drawing(monkeypatch):
+    plan = make_plan("tetX")
+    assert visibility_of(plan) is not None
+    monkeypatch.setattr("symsol_annot.generation.maker.is_convex", lambda mesh: False)
+    assert visibility_of(plan) is None
+    assert visibility_of(make_plan("tet")) is None
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("engine", ["workbench", "cycles"])
+@pytest.mark.parametrize("name", ["tetX", "cylO"])
+def test_what_blender_counts_lies_between_the_bounds_near_grazing(name, engine):
+    spec, camera, settings = load_object(name), Camera.filling(224), RenderSettings(engine)
+    rotations = grazing(name, 150 if engine == "workbench" else 30, seed=4, within_deg=3)
+    with RenderProcess(spec, camera, settings) as renderer:
+        counts = renderer.marking_pixels(rotations) * settings.samples_per_pixel
+    lower, upper = MarkingVisibility(spec.mesh, camera, settings).bounds(rotations, 10**9)
+    assert ((lower <= counts) & (counts <= upper)).all()
+    assert (counts == 0).any()
+    assert (counts > 0).any()
+
+
+@pytest.mark.blender
+def test_the_set_of_a_hidden_view_is_the_exhaustive_one():
+    spec, camera, settings = load_object("cylO"), Camera.filling(224), RenderSettings()
+    with RenderProcess(spec, camera, settings) as renderer:
+        rotations = uniform_rotations(40, np.random.default_rng(5))
+        hidden = next(R for R in rotations if pixels_of(spec, R, renderer) == 0)
+        drawn = annotate(spec, hidden, 0.0, renderer)
+        decided = annotate(spec, hidden, 0.0, renderer, MarkingVisibility(spec.mesh, camera, settings))
+    assert np.array_equal(drawn.mask, decided.mask)
+    assert np.array_equal(drawn.candidate_pixels == 0, decided.candidate_pixels == 0)

@@ -1,0 +1,177 @@
+"""What the documents say is what the code does: their code runs, their links lead somewhere."""
+
+import re
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from made_sets import make_set
+
+import symsol_annot
+from symsol_annot.bench.predictions import format as bench_format
+from symsol_annot.bench.predictions.truth import truth_of
+from symsol_annot.bench.scoring import reference, scoring
+from symsol_annot.rendering.scene import Camera
+from symsol_annot.rotations.so3 import uniform_rotations
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("examples/**/*.md")])
+
+
+def code_blocks(page, language):
+    return re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files_and_headings(page):
+    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", page.read_text()):
+        path, _, heading = target.partition("#")
+        linked = (page.parent / path) if path else page
+        assert linked.exists(), f"{page.name} links to {target}"
+        if heading:
+            headings = re.findall(r"^#+ (.+)$", linked.read_text(), flags=re.MULTILINE)
+            assert heading in {re.sub(r"[^\w\- ]", "", h).strip().lower().replace(" ", "-") for h in headings}
+
+
+def test_the_three_lines_of_the_format_page_read_a_shard(tmp_path, monkeypatch):
+    """Exactly those lines, run where a set named data/cylO lies, give what load() gives."""
+    block = code_blocks("docs/format.md", "python")[0]
+    assert len(block.strip().splitlines()) == 3
+    folder = make_set(tmp_path / "data", "tetX", test=20).rename(tmp_path / "data" / "cylO")
+    (folder / "test-00000-of-00002.h5").rename(folder / "test-00000-of-00010.h5")
+    monkeypatch.chdir(tmp_path)
+    names = {"h5py": h5py, "i": 3}
+    exec(block, names)
+    with names["f"] as file:
+        (folder / "test-00000-of-00010.h5").rename(folder / "test-00000-of-00002.h5")
+        sample = symsol_annot.load(folder)[3]
+        assert np.array_equal(names["image"], sample.image)
+        assert np.array_equal(names["R"], sample.rotation)
+        assert np.array_equal(names["S"], sample.symmetry_set)
+        documented = set(re.findall(r"^\| `(\w+)`", (ROOT / "docs/format.md").read_text(), flags=re.MULTILINE))
+        assert set(file) <= documented
+    attributes = re.findall(r"`(\w+)`", (ROOT / "docs/format.md").read_text())
+    with h5py.File(folder / "test-00000-of-00002.h5") as file:
+        assert set(file.attrs) <= set(attributes)
+
+
+def test_the_readme_example_runs(tmp_path, monkeypatch, capsys):
+    make_set(tmp_path / "data", "tetX", test=4).rename(tmp_path / "data" / "cylO")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(code_blocks("README.md", "python")[0], names)
+    assert names["sample"].symmetry_set.shape[1:] == (3, 3)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:This DataLoader will create")  # on a machine of one core
+def test_the_examples_of_the_loading_page_read_every_image(tmp_path, monkeypatch):
+    folder = make_set(tmp_path / "data", "tetX", train=20, test=0, annotate="all")
+    folder.rename(tmp_path / "data" / "cylO")
+    monkeypatch.chdir(tmp_path)
+    *blocks, processes = code_blocks("docs/loading.md", "python")
+    names = {"images": []}
+    for block in blocks:
+        exec(block.replace('batch["image"]', 'images.extend(batch["image"])').replace("range(10)", "range(2)"), names)
+    assert {tuple(image.shape) for image in names["images"]} == {(3, 32, 32)}
+    assert len(names["images"]) == 2 * 2 * 20  # loops, epochs
+    assert sorted(names["order"]) == sorted(item["index"] for item in names["part"])
+    Path("script.py").write_text(processes)
+    done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, check=True)
+    means = [sample.image.mean() for sample in symsol_annot.load("data/cylO", "train")]
+    assert np.mean(eval(done.stdout)) == pytest.approx(np.mean(means))
+
+
+def test_the_projection_of_the_conventions_page_is_the_cameras():
+    camera = Camera.filling(224)
+    names = {"distance": camera.distance, "focal_px": camera.focal_px, "width": 224, "height": 224}
+    for R_m2c, point_m in zip(uniform_rotations(5, np.random.default_rng(0)), np.eye(5, 3), strict=True):
+        names |= {"R_m2c": R_m2c, "point_m": point_m}
+        exec(code_blocks("docs/conventions.md", "python")[0], names)
+        assert np.allclose([names["u"], names["v"]], camera.project(R_m2c @ point_m))
+    assert f"{camera.focal_px:.3f}" in (ROOT / "docs/conventions.md").read_text()
+
+
+@pytest.fixture
+def listed_modules():
+    rows = re.findall(r"^\| (`\w+\.py`.*?) \|", (ROOT / "docs/architecture.md").read_text(), flags=re.MULTILINE)
+    return re.findall(r"`(\w+\.py)`", " ".join(rows))
+
+
+def test_every_module_stands_in_the_architecture_page(listed_modules):
+    modules = [path.name for path in (ROOT / "symsol_annot").rglob("*.py") if path.name != "__init__.py"]
+    assert sorted(listed_modules) == sorted(modules)
+
+
+def test_the_architecture_page_lists_modules_after_those_that_they_import(listed_modules):
+    place = {name: number for number, name in enumerate(listed_modules)}
+    assert len(place) == len(listed_modules)
+    for path in (ROOT / "symsol_annot").rglob("*.py"):
+        found = re.findall(
+            r"^ *from symsol_annot[.\w]*?(?:\.(\w+))? import (\w+)", path.read_text(), flags=re.MULTILINE
+        )
+        imported = {f"{name}.py" for names in found for name in names} & set(place)
+        assert [name for name in imported if place[name] > place.get(path.name, len(place))] == [], path
+
+
+def test_the_example_of_the_metrics_page_gives_what_it_says():
+    lines = code_blocks("docs/metrics.md", "python")[0].splitlines()
+    names = {}
+    exec("\n".join(lines[:6]), names)
+    said = {line.split("  # ")[0]: line.split("  # ")[1] for line in lines if "  # " in line}
+    for code, comment in said.items():
+        value = eval(code.split(" = ")[-1], names)
+        names[code.split(" = ")[0]] = value
+        numbers = [
+            float(Fraction(n)) for n in re.findall(r"\d+(?:/\d+|\.\d+)?", comment.split(":")[0].split("from")[0])
+        ]
+        assert np.allclose(value, numbers, atol=1e-3), (code, value, comment)
+
+
+def test_the_submission_page_is_enough_to_get_a_score(tmp_path, monkeypatch, capsys):
+    """Its writers and its lines of h5py make files that are valid and score alike."""
+    make_set(tmp_path / "data", "tetX", test=4)
+    monkeypatch.chdir(tmp_path)
+    blocks = code_blocks("docs/submission.md", "python")
+    first, writers, by_hand = (block.replace("cylO", "tetX") for block in blocks)  # whose candidates are few
+    hypotheses = uniform_rotations(4 * 5, np.random.default_rng(0)).reshape(4, 5, 3, 3)
+    images = [sample.image.tobytes() for sample in symsol_annot.load("data/tetX")]
+    names = {
+        "predict": lambda image: hypotheses[images.index(image.tobytes())],
+        "probability": lambda image, R: np.full(len(R), 0.05),
+        "log_density": lambda image, R: np.zeros(len(R)),
+    }
+    exec(first, names)
+    by_writer = scoring.score_file(Path("preds.h5"), Path("data"))
+    exec(writers, names)
+    tracks = scoring.score_file(Path("preds.h5"), Path("data")).tracks
+    assert set(tracks) == {"hypotheses", "classifier", "density"}
+    assert tracks["density"].figures["all"]["log_likelihood"].value == pytest.approx(-2.2895, abs=1e-4)
+    Path("preds.h5").unlink()
+    exec(by_hand, {"hypotheses": hypotheses})
+    scored = scoring.score_file(Path("preds.h5"), Path("data"))
+    assert str(scored.tracks["hypotheses"].figures) == str(by_writer.tracks["hypotheses"].figures)
+
+
+def test_the_submission_page_names_every_attribute_and_data_set():
+    text = (ROOT / "docs/submission.md").read_text()
+    documented = set(re.findall(r"`(\w+)`", text))
+    datasets = {name for names in bench_format.TRACKS.values() for name in names} | {bench_format.IMAGE_INDEX}
+    assert datasets | set(bench_format.FILE_ATTRIBUTES) | set(bench_format.CLASSIFIER_ATTRIBUTES) <= documented
+
+
+def test_the_metrics_page_defines_every_metric(tmp_path):
+    folder = make_set(tmp_path, "tetX", test=2)
+    text = (ROOT / "docs/metrics.md").read_text()
+    dataset = symsol_annot.load(folder)
+    known = truth_of(dataset)
+    path = tmp_path / "preds.h5"
+    reference.truth(path, dataset, known)
+    for track in scoring.score_file(path, folder).tracks.values():
+        for metric in track.per_image.values:
+            name = re.sub(r"(_at|_above)_[\d.]+(_deg)?$", r"\1_T\2", metric)
+            assert name in text or (name.endswith("_ceiling") and "`.._ceiling`" in text), metric

@@ -1,0 +1,134 @@
+"""An audit finds nothing in a good set, and finds a set that the pictures contradict."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made_sets import SIZE, make_set
+from numpy_renderer import NumpyRenderer
+
+from symsol_annot import Sample, load
+from symsol_annot.annotation.annotate import annotate
+from symsol_annot.errors import NotAnnotatedError
+from symsol_annot.generation.audit import audit
+from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.render_process import RenderProcess
+from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rotations.so3 import uniform_rotations
+
+
+class ChangedDataset:
+    """A data set with each sample passed through a function."""
+
+    def __init__(self, dataset, change):
+        self.dataset, self.change = dataset, change
+
+    def __getattr__(self, name):
+        return getattr(self.dataset, name)
+
+    def __len__(self):
+        return len(self.dataset)
+
+    def __getitem__(self, index):
+        return self.change(self.dataset[index])
+
+
+def audit_of(dataset, count=12):
+    return audit(dataset, load_object("tetX"), NumpyRenderer("tetX", SIZE), count, np.random.default_rng(0))
+
+
+def with_mask(sample, change):
+    mask = sample.symmetry_mask.copy()
+    change(mask)
+    return dataclasses.replace(sample, symmetry_mask=mask)
+
+
+def test_a_good_set_has_no_faults(tetX_set):
+    report = audit_of(load(tetX_set))
+    assert report.faults == []
+    assert (report.images, report.members > 12, report.rejected > 12) == (12, True, True)
+
+
+def test_a_transposed_label_is_found(tetX_set):
+    changed = ChangedDataset(load(tetX_set), lambda s: dataclasses.replace(s, rotation=s.rotation.T))
+    assert any("at its own rotation" in fault for fault in audit_of(changed).faults)
+
+
+def test_a_set_that_lacks_a_member_is_found(tetX_set):
+    spec = load_object("tetX")
+
+    def drop_a_coset(mask):
+        members = [coset for coset in spec.cosets[1:] if mask[coset].all()]
+        if members:
+            mask[members[0]] = False
+
+    faults = audit_of(ChangedDataset(load(tetX_set), lambda s: with_mask(s, drop_a_coset))).faults
+    assert any("rejected, but draws the same marking" in fault for fault in faults)
+
+
+def test_a_set_with_a_stranger_is_found(tetX_set):
+    def take_all(mask):
+        mask[:] = True
+
+    faults = audit_of(ChangedDataset(load(tetX_set), lambda s: with_mask(s, take_all))).faults
+    assert any("member" in fault and ("shows the marking" in fault or "differ" in fault) for fault in faults)
+
+
+def test_a_picture_of_something_else_is_found(tetX_set):
+    other = load(tetX_set)[1]
+    changed = ChangedDataset(load(tetX_set), lambda s: dataclasses.replace(s, image=other.image))
+    assert any("pixels of the RGB differ" in fault for fault in audit_of(changed).faults)
+
+
+def test_a_split_without_sets_is_refused(tetX_set):
+    with pytest.raises(NotAnnotatedError, match="no symmetry sets to audit"):
+        audit_of(load(tetX_set, "train"))
+
+
+def test_an_unmarked_body_is_audited_by_its_looks(tmp_path):
+    dataset = load(make_set(tmp_path, "tet", test=4))
+    report = audit(dataset, load_object("tet"), NumpyRenderer("tet", SIZE), 4, np.random.default_rng(0))
+    assert (report.faults, report.rejected) == ([], 0)
+    assert report.members == 4 * 12
+
+
+@pytest.mark.blender
+def test_an_arc_that_ends_too_early_is_found():
+    """Members a degree or more from a hidden disc's arc end are no near neighbours but missing."""
+    spec = load_object("cylO")
+    with RenderProcess(spec, Camera.filling(64), RenderSettings()) as renderer:
+        R = next(R for R in uniform_rotations(9, np.random.default_rng(1)) if renderer.marking_pixels(R[None])[0] == 0)
+        mask, view = annotate(spec, R, 0.0, renderer).mask, renderer.render(R)
+        eroded = mask & np.roll(mask, 8) & np.roll(mask, -8)
+        eroded[0] = True
+        samples = [
+            Sample(0, view.rgb, view.segmentation, R, 0.0, False, m, spec.symmetry_group) for m in (mask, eroded)
+        ]
+        reports = [audit(ListedDataset([s]), spec, renderer, 1, np.random.default_rng(0)) for s in samples]
+    assert reports[0].faults == []
+    assert any("rejected, but draws the same marking" in fault for fault in reports[1].faults)
+
+
+@pytest.mark.blender
+def test_near_neighbours_of_a_barely_shown_disc_are_counted_not_failed():
+    """Where a pixel or two of the disc show, a candidate a degree away may draw the same ones: no fault."""
+    spec = load_object("cylO")
+    only_R_gt = np.arange(720) == 0
+    with RenderProcess(spec, Camera.filling(64), RenderSettings()) as renderer:
+        R = uniform_rotations(300, np.random.default_rng(1))
+        pixels = renderer.marking_pixels(R)
+        barely = [i for i in np.argsort(pixels) if pixels[i] > 0][:4]
+        views = [renderer.render(R[i]) for i in barely]
+        samples = [
+            Sample(n, view.rgb, view.segmentation, R[i], pixels[i], True, only_R_gt, spec.symmetry_group)
+            for n, (i, view) in enumerate(zip(barely, views, strict=True))
+        ]
+        report = audit(ListedDataset(samples), spec, renderer, 4, np.random.default_rng(0))
+    assert report.faults == []
+    assert report.near_neighbours > 0
+
+
+class ListedDataset(list):
+    """Samples that were never in a shard."""
+
+    is_annotated = True

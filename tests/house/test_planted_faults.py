@@ -1,0 +1,202 @@
+"""Faults planted in a copy of the package, one at a time: for each, a named test must fail.
+
+These are the mistakes that a data set of rotations invites. The first case plants nothing and must pass, so
+that a copy that cannot run at all is not taken for a fault that was found.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = {"symsol_annot": "symsol_annot", "cli": "symsol_annot_cli", "blender_assets": "symsol_annot_assets"}
+
+CAST = "rendering/test_blender.py::test_segmentation_is_the_ray_casters_but_for_boundary_pixels[tetX]"
+SETS = "annotation/test_annotate.py::test_a_hidden_marking_leaves_all_that_hide_it"
+FAULTS = {
+    "multiplied from the left": (
+        "symsol_annot/annotation/annotate.py",
+        "R_gt @ spec.symmetry_group[others.reshape(-1)]",
+        "spec.symmetry_group[others.reshape(-1)] @ R_gt",
+        SETS,
+    ),
+    "set multiplied from the left": (
+        "symsol_annot/sets/dataset.py",
+        "self.rotation @ self.symmetry_group[self.symmetry_mask]",
+        "self.symmetry_group[self.symmetry_mask] @ self.rotation",
+        "house/test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
+    ),
+    "label transposed": (
+        "symsol_annot/generation/maker.py",
+        "return ImageRecord(view, R_gt, coset_px, annotation.mask)",
+        "return ImageRecord(view, R_gt.T, coset_px, annotation.mask)",
+        "house/test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
+    ),
+    "object turned the other way": (
+        "symsol_annot/rendering/blender.py",
+        "rotation_to_quat_wxyz(R_m2c)",
+        "rotation_to_quat_wxyz(R_m2c.T)",
+        CAST,
+    ),
+    "camera the wrong way up": (
+        "symsol_annot/rendering/blender.py",
+        "stand.rotation_quaternion = (0.0, 1.0, 0.0, 0.0)",
+        "stand.rotation_quaternion = (0.0, 0.0, 1.0, 0.0)",
+        CAST,
+    ),
+    "wrong flip axis": (
+        "symsol_annot/rotations/so3.py",
+        "np.diag([1.0, -1.0, -1.0])",
+        "np.diag([-1.0, -1.0, 1.0])",
+        "house/test_planted_faults.py::test_groups_have_their_orders_without_duplicates",
+    ),
+    "end of the circle counted twice": (
+        "symsol_annot/rotations/so3.py",
+        "np.arange(order) / order",
+        "np.arange(order) / (order - 1)",
+        "house/test_planted_faults.py::test_groups_have_their_orders_without_duplicates",
+    ),
+    "no back-face culling": (
+        "symsol_annot/rendering/blender.py",
+        "shading.show_backface_culling = True",
+        "shading.show_backface_culling = False",
+        "rendering/test_blender.py::test_hidden_faces_draw_no_pixel",
+    ),
+    "candidates of shown views kept": (
+        "symsol_annot/annotation/annotate.py",
+        "if is_shown(spec, coset_px):",
+        "if not len(cosets):",
+        "annotation/test_annotate.py::test_a_shown_marking_leaves_the_stabiliser",
+    ),
+    "geometry seen from behind": (
+        "symsol_annot/annotation/visibility.py",
+        "camera = -self._lattice.distance * R_m2c[:, 2]",
+        "camera = self._lattice.distance * R_m2c[:, 2]",
+        "annotation/test_visibility.py::test_a_ray_casters_count_lies_between_the_bounds[1000000000-tetX]",
+    ),
+    "samples near the outline taken for counted": (
+        "symsol_annot/annotation/visibility.py",
+        "return count - np.bincount(less, minlength=n), count",
+        "return count + 9 * np.bincount(less, minlength=n), count",
+        "annotation/test_visibility.py::test_a_ray_casters_count_lies_between_the_bounds[1000000000-tetX]",
+    ),
+    "triangles turned round forgotten": (
+        "symsol_annot/annotation/visibility.py",
+        "near[~is_less] | turned[~is_behind]",
+        "near[~is_less] | near[~is_less]",
+        "annotation/test_visibility.py::test_however_vertices_are_moved_the_count_lies_between_the_bounds[0.1-tetX]",
+    ),
+    "no margin about a square of samples": (
+        "symsol_annot/annotation/visibility.py",
+        "np.sqrt(2.0) - self._shift) - 1.0",
+        "np.sqrt(2.0)) - 1.0",
+        "annotation/test_visibility.py::test_however_vertices_are_moved_the_count_lies_between_the_bounds[0.1-tetX]",
+    ),
+    "edge-on triangles shaded": (
+        "symsol_annot/rendering/supersampling.py",
+        "_THIN = 0.25",
+        "_THIN = 0.0",
+        "rendering/test_blender.py::test_triangles_seen_edge_on_keep_their_colour",
+    ),
+    "samples beside the pixels' centres": (
+        "symsol_annot/rendering/supersampling.py",
+        "ids[n // 2 :: n, n // 2 :: n]",
+        "ids[:-1:n, :-1:n]",
+        CAST,
+    ),
+    "positives at the threshold": (
+        "symsol_annot/bench/scoring/scorers.py",
+        'thresholds.astype(in_order.dtype), side="right"',
+        'thresholds.astype(in_order.dtype), side="left"',
+        "bench/scoring/test_scoring.py::test_a_float32_answer_of_the_threshold_is_no_claim_either",
+    ),
+    "last images of an epoch left out": (
+        "symsol_annot/sets/epoch_order.py",
+        "n * (part + 1) // parts",
+        "n // parts * (part + 1)",
+        "sets/test_epoch_order.py::test_parts_hold_every_row_once_and_differ_by_at_most_one_image",
+    ),
+    "more shards shuffled together than are kept open": (
+        "symsol_annot/sets/epoch_order.py",
+        "-(-shards // MAX_OPEN_SHARDS)",
+        "-(-shards // (2 * MAX_OPEN_SHARDS))",
+        "sets/test_epoch_order.py::test_reader_of_files_opens_each_of_its_shards_once[1]",
+    ),
+    "losers share by the number of all": (
+        "symsol_annot/bench/models/networks/losses.py",
+        "epsilon / (M - 1) * losses.sum(dim=-1)",
+        "epsilon / M * losses.sum(dim=-1)",
+        "bench/models/test_losses.py::test_rwta_is_its_equation[0.05-30]",
+    ),
+    "statistics of a frozen stage move": (
+        "symsol_annot/bench/models/networks/first_stage.py",
+        "super().train(mode and not self._is_frozen)",
+        "super().train(mode)",
+        "bench/models/test_heads.py::test_a_frozen_first_stage_stays_to_the_bit_while_the_second_learns",
+    ),
+    "queries in order": (
+        "symsol_annot/bench/predictions/queries.py",
+        "in_order[order] = probability",
+        "in_order[:] = probability",
+        "bench/predictions/test_queries.py::test_unshuffle_puts_candidates_in_row_0_and_decoys_in_the_others_in_the_order_of_the_group",
+    ),
+}
+
+
+def test_stored_sets_hold_rotations_that_draw_the_stored_image(tmp_path):
+    import numpy as np
+    from made_sets import SIZE, make_set
+    from oracle import cast
+
+    import symsol_annot
+
+    for sample in symsol_annot.load(make_set(tmp_path, "tetX", test=6)):
+        for R in sample.symmetry_set:
+            assert np.count_nonzero(cast("tetX", R, SIZE) != sample.segmentation) <= 5
+
+
+def test_groups_have_their_orders_without_duplicates():
+    import numpy as np
+
+    from symsol_annot.objects.spec import load_object
+
+    for name, order in {"tet": 12, "cube": 24, "icosa": 60, "cone": 360, "cyl": 720}.items():
+        group = load_object(name).symmetry_group
+        assert len(np.unique(np.round(group.reshape(-1, 9), 6) + 0.0, axis=0)) == order == len(group)
+
+
+def run_with(tmp_path, node, fault=None):
+    """Run one test on a copy of the package, with a fault planted; return pytest's exit code and output."""
+    for source, package in PACKAGES.items():
+        shutil.copytree(ROOT / source, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    if fault:
+        file, right, wrong = fault
+        path = tmp_path / file
+        text = path.read_text()
+        assert text.count(right) == 1, f"{file} does not hold {right!r} once: the fault cannot be planted"
+        path.write_text(text.replace(right, wrong))
+    command = [sys.executable, "-P", "-m", "pytest", "-p", "no:cacheprovider", "-x", f"tests/{node}"]
+    done = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, check=False
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("node", sorted({fault[3] for fault in FAULTS.values()}))
+def test_nothing_planted_fails_nothing(node, tmp_path):
+    code, output = run_with(tmp_path, node)
+    assert code == pytest.ExitCode.OK, output
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_planted_fault_fails_its_test(name, tmp_path):
+    *fault, node = FAULTS[name]
+    code, output = run_with(tmp_path, node, fault)
+    assert code == pytest.ExitCode.TESTS_FAILED, output
+    assert "AssertionError" in output or "assert " in output, output

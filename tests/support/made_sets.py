@@ -1,0 +1,49 @@
+"""Sets made with the numpy renderer, which cost little."""
+
+from functools import partial
+
+from numpy_renderer import NumpyRenderer
+
+from symsol_annot.annotation.annotate import coset_marking_px
+from symsol_annot.generation.events import ImagesMade, Started
+from symsol_annot.generation.executors import in_process
+from symsol_annot.generation.generate import generate
+from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.sets.plan import SetPlan
+
+SIZE = 32
+
+
+def make_plan(name="tetX", train=0, test=40, seed=0, size=SIZE, annotate="test"):
+    return SetPlan(
+        load_object(name), {"train": train, "test": test}, seed, Camera.filling(size), RenderSettings(), annotate
+    )
+
+
+def pixels_of(spec, R, renderer):
+    """The area by which the image at R shows the marking, as a set would store it."""
+    return coset_marking_px(spec, R, float(renderer.marking_pixels(R[None])[0]), renderer) if spec.marking else 0.0
+
+
+def threads(open_renderer, workers=1, *, exhaustive=False):
+    """Who makes the shards in most tests: threads of this process, each with a renderer."""
+    return partial(in_process, open_renderer=open_renderer, workers=workers, exhaustive=exhaustive)
+
+
+def on_images(call):
+    """From what is to be called for each image to what is told of events."""
+
+    def on_event(event):
+        count = {Started: "images_there", ImagesMade: "images"}.get(type(event))
+        for _ in range(getattr(event, count) if count else 0):
+            call()
+
+    return on_event
+
+
+def make_set(folder, name="tetX", workers=1, **plan):
+    """Make a set with the numpy renderer; the folder of the set is returned."""
+    made = make_plan(name, **plan)
+    generate(made, folder / name, threads(partial(NumpyRenderer, name, made.camera.width), workers=workers))
+    return folder / name

@@ -1,0 +1,44 @@
+"""A plain Renderer on the ray caster, for tests that are not about Blender."""
+
+import numpy as np
+from oracle import cast, cast_samples
+
+from symsol_annot.rendering.scene import View
+
+COLOURS = np.array([[255, 255, 255], [180, 200, 230], [230, 90, 40]], dtype=np.uint8)
+# Of the 3x3 samples of a pixel, those on its corners are shared by four, those on its edges by two.
+WEIGHTS = {(i, j): (2 - abs(i - 1)) * (2 - abs(j - 1)) for i in range(3) for j in range(3)}
+
+
+class NumpyRenderer:
+    """Draws a built-in object in flat colours; `on_frame` is called before each frame, and may raise."""
+
+    def __init__(self, name, size=32, on_frame=lambda: None):
+        self.name, self.size, self.on_frame, self.is_closed = name, size, on_frame, False
+
+    @property
+    def versions(self):
+        return {"renderer": "numpy"}
+
+    def render(self, R_m2c):
+        self.on_frame()
+        ids = cast_samples(self.name, R_m2c, self.size)
+        samples = COLOURS[ids].astype(int)
+        rgb = np.zeros((self.size, self.size, 3), int)
+        for (row, column), weight in WEIGHTS.items():
+            rgb += weight * samples[row:, column:][: 2 * self.size : 2, : 2 * self.size : 2]
+        marking_pixels = np.count_nonzero(ids == 2) / 4
+        return View(((rgb + 8) // 16).astype(np.uint8), cast(self.name, R_m2c, self.size), marking_pixels)
+
+    def marking_pixels(self, R_m2c):
+        counts = [np.count_nonzero(cast_samples(self.name, R, self.size) == 2) for R in R_m2c]
+        return np.array(counts, dtype=float) / 4
+
+    def close(self):
+        self.is_closed = True
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc):
+        self.close()

@@ -1,0 +1,60 @@
+"""Recipes of four epochs and a backbone of small files: what trainings obey whatever they train."""
+
+from contextlib import contextmanager
+
+import pytest
+from torch import nn
+
+from symsol_annot.bench.models.networks import first_stage, resnet
+from symsol_annot.bench.models.recipe import ClassifierRecipe, HypothesisRecipe
+from symsol_annot.bench.models.training.training import Options
+
+_COMMON = {
+    "title": "tiny",
+    "epochs": 4,
+    "batch_size": 8,
+    "learning_rates": (1e-3, 1e-4),
+    "milestones": (3,),
+    "validation_images": 4,
+    "start": "random",
+}
+HYPOTHESES = HypothesisRecipe(
+    **_COMMON,
+    hypotheses=4,
+    meta_loss="ewta",
+    embedded_loss="von-mises",
+    epochs_to_one=3,
+)
+CLASSIFIER = ClassifierRecipe(
+    **_COMMON,
+    negatives=16,
+    frozen_epochs=2,
+    evaluation_level=0,
+)
+RECIPES = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER}
+CPU = Options(device="cpu")
+_NARROWER = 8
+
+
+class _NarrowResNet(resnet.ResNet18):
+    """ResNet-18 with an eighth of the channels, so with files of a fiftieth."""
+
+    def __init__(self):
+        nn.Module.__init__(self)
+        a, b, c, d = (channels // _NARROWER for channels in (64, 128, 256, resnet.FEATURES))
+        block = resnet._Block
+        self.conv1 = nn.Conv2d(3, a, kernel_size=7, stride=2, padding=3, bias=False)
+        self.bn1 = nn.BatchNorm2d(a)
+        self.layer1 = nn.Sequential(block(a, a, stride=1), block(a, a, stride=1))
+        self.layer2 = nn.Sequential(block(a, b, stride=2), block(b, b, stride=1))
+        self.layer3 = nn.Sequential(block(b, c, stride=2), block(c, c, stride=1))
+        self.layer4 = nn.Sequential(block(c, d, stride=2), block(d, d, stride=1))
+
+
+@contextmanager
+def narrow_backbone():
+    """Have models made with a narrow backbone meanwhile."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(first_stage, "ResNet18", _NarrowResNet)
+        patch.setattr(first_stage, "FEATURES", resnet.FEATURES // _NARROWER)
+        yield
