@@ -61,7 +61,10 @@ def _taken(file, name):
 
 def _values(file, name):
     """Return a data set's values, of no more rows than memory has room for: an earlier change may have added some."""
-    return file[name][:_MOST_ROWS] if file[name].shape else file[name][...]
+    found = file[name]
+    if not isinstance(found, h5py.Dataset):
+        raise TypeError(f"{name} is no data set any more")
+    return found[:_MOST_ROWS] if found.shape else found[...]
 
 
 # Storage
