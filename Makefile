@@ -7,7 +7,7 @@ TEST_WORKERS ?= 2
 SOURCES := $(sort $(wildcard $(shell find symsol_annot cli -name '*.py') blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/bench/models/recipes/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
 INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
-.PHONY: demo test check lint docs format soak perf attack assets sample release clean
+.PHONY: demo test check lint docs format soak perf attack mutate card assets sample release clean
 
 demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of two objects, in data/
 	$(BIN)/symsol-annot render --object cylO --train 0 --test 64
@@ -27,6 +27,8 @@ lint: $(INSTALLED)  ## the quick checks
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/mypy --config-file tools/mypy.ini tools/*.py tools/attack tools/soak
+	$(BIN)/mypy --config-file tools/mypy.ini tools/perf
 	$(BIN)/lint-imports
 	$(BIN)/python -m symsol_annot_assets.build --check --out blender_assets
 
@@ -42,9 +44,16 @@ perf: $(INSTALLED)  ## speed and memory, beside the common recipe, drawing every
 attack: $(INSTALLED)  ## 13,000 damaged and hostile files for every reader, in build/attack.json; half an hour
 	$(BIN)/python tools/attack
 
+mutate: $(INSTALLED)  ## change the code a little, many times, and name the changes that no test notices; half an hour
+	$(BIN)/python tools/mutations.py
+
+card: $(INSTALLED)  ## write dataset_card.md again from the figures that were measured
+	$(BIN)/python tools/dataset_card.py write
+
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+	$(BIN)/python docs/rooms.py
 
 SAMPLE := symsol_annot/sample_data
 sample: $(INSTALLED)  ## render the set inside the package again; seed 45 has a tetX whose marking barely shows

@@ -11,9 +11,15 @@ from symsol_annot.rendering import doctor as examination
 
 
 @click.command(epilog=example("symsol-annot doctor --install"))
-@click.option("--install", is_flag=True, help="Install missing system libraries first (Debian and its kin, as root).")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Disk to look at."
+    "--install", is_flag=True, help="First install missing system libraries (on Debian and its derivatives, as root)."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("data"),
+    show_default=True,
+    help="Folder whose disk is looked at.",
 )
 def doctor(*, install: bool, out: Path) -> None:
     """Say what this machine lacks for rendering, and the one line that installs it."""

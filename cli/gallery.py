@@ -12,7 +12,7 @@ from symsol_annot.gallery.runs import read_runs
 from symsol_annot.gallery.sources import open_sources
 from symsol_annot.gallery.writing import write_gallery
 from symsol_annot.objects.spec import ObjectSpec
-from symsol_annot.system.extras import check_extra
+from symsol_annot.system.machine import check_extra
 from symsol_annot.system.text.names import SPLITS
 
 
@@ -26,7 +26,7 @@ from symsol_annot.system.text.names import SPLITS
     metavar="PREDS.H5",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="Shown over the truth, scored, worst first; may be repeated.",
+    help="Predictions to show over the truth, worst first; may be repeated.",
 )
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("gallery"), show_default=True)
 @click.option(
@@ -45,9 +45,11 @@ from symsol_annot.system.text.names import SPLITS
     type=click.IntRange(min=0),
     default=24,
     show_default=True,
-    help="Draw candidates of N images a split again (needs Blender).",
+    help="Draw candidates of N images per split again (needs Blender).",
 )
-@click.option("--object", "spec", type=ObjectType(), help="To draw with, where it is a folder of your own.")
+@click.option(
+    "--object", "spec", type=ObjectType(), help="The object to draw, where the set's object is a folder of your own."
+)
 def gallery(
     folder: Path,
     paths: tuple[Path, ...],

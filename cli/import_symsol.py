@@ -20,19 +20,19 @@ from symsol_annot.system.text.names import SPLITS
 @click.argument("path", metavar="ZIP", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default="symsol", show_default=True)
 @click.option("--object", "objects", multiple=True, type=click.Choice(OBJECTS), help="May be repeated.  [default: all]")
-@click.option("--workers", type=click.IntRange(min=1), help="How many threads.  [default: the number of cores]")
+@click.option("--workers", type=click.IntRange(min=1), help="Number of threads.  [default: all cores]")
 def import_symsol(path: Path, out: Path, objects: tuple[str, ...], workers: int | None) -> None:
     """Import the zip of the original SYMSOL: its images, rotations and symmetry sets.
 
-    Each object becomes a set, OUT/OBJECT, once it is whole; one that is there already, whole, stays. What the source
-    does not say stays unknown: camera, segmentation, the convention of its rotations, and the sets of tetX, cylO and
-    sphereX.
+    Each object becomes a set, OUT/OBJECT, once it is complete; a complete set that is there already stays. What the
+    source does not say stays unknown: camera, segmentation, the convention of its rotations, and the sets of tetX,
+    cylO and sphereX.
     """
     with progress_bar(None, "image") as bar:
 
         def begin(manifest: Manifest) -> None:
             bar.reset(total=sum(manifest.images(split) for split in SPLITS))
-            bar.set_description(manifest.recipe["object"])
+            bar.set_description(manifest.settings.object)
 
         options = {"workers": workers or cores(), "on_begin": begin, "on_images": bar.update}
         for made in imported_sets(path, out, objects, **options):
@@ -42,11 +42,11 @@ def import_symsol(path: Path, out: Path, objects: tuple[str, ...], workers: int 
 
 def _line(made: ImportedSet) -> str:
     images = ", ".join(f"{made.manifest.images(split)} {split}" for split in SPLITS)
-    source = made.manifest.recipe["source"]
+    source = made.manifest.imported.source
     if made.members is None:
         sets = "no symmetry sets are known"
     else:
-        listed, twice = source["rotations_listed"], source["duplicates_removed"]
+        listed, twice = source.rotations_listed, source.duplicates_removed
         sets = f"sets of {made.members} rotations" + (f" ({listed} listed, {twice} of them twice)" if twice else "")
     if made.was_there:
         return f"{made.folder}: {images} images, {sets}; was there already"

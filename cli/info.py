@@ -1,13 +1,13 @@
 """`symsol-annot info`: say what a set holds."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 from symsol_annot_cli.parameters import SET_FOLDER, example
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.sets.manifest import read_manifest
+from symsol_annot.sets.settings import ImportedSettings, RenderedSettings
 from symsol_annot.sets.statistics import SplitStatistics, sizes_in_words, split_statistics
 from symsol_annot.system.text.names import SPLITS
 
@@ -17,14 +17,10 @@ from symsol_annot.system.text.names import SPLITS
 def info(folder: Path) -> None:
     """Say what a set holds: counts, sizes of the symmetry sets, and the fingerprints that predictions carry."""
     manifest = read_manifest(folder)
-    recipe = manifest.recipe
-    camera, render = recipe["camera"], recipe["render"]
     if manifest.is_imported:
-        _print_source(recipe)
+        _print_source(manifest.imported)
     else:
-        say(f"object       {recipe['object']} ({recipe['object_sha256'][:16]})")
-        say(f"images       {camera['width']}x{camera['height']}, engine {render['engine']}, seed {recipe['seed']}")
-        say(f"camera       distance {camera['distance']:g}, focal length {camera['focal_px']:.2f} px")
+        _print_drawing(manifest.rendered)
     say(f"fingerprint  {manifest.fingerprint or 'none yet: the set is not finished'}")
     say("             of the whole set, to name it by; predictions carry that of their split, below")
     for split in SPLITS:
@@ -36,12 +32,20 @@ def info(folder: Path) -> None:
             say(f"  fingerprint {manifest.split_fingerprint(split) or 'none yet: shards of the split are missing'}")
 
 
-def _print_source(recipe: dict[str, Any]) -> None:
+def _print_drawing(settings: RenderedSettings) -> None:
+    """Say how the images of a rendered set were drawn."""
+    camera = settings.camera
+    say(f"object       {settings.object} ({settings.object_sha256[:16]})")
+    say(f"images       {camera.width}x{camera.height}, engine {settings.render.engine}, seed {settings.seed}")
+    say(f"camera       distance {camera.distance:g}, focal length {camera.focal_px:.2f} px")
+
+
+def _print_source(settings: ImportedSettings) -> None:
     """Say where an imported set is from, and that the rest is not known."""
-    source, camera = recipe["source"], recipe["camera"]
-    say(f"object       {recipe['object']}")
-    say(f"source       {source['name']}, SHA-256 {source['sha256'][:16]}; convention {source['convention']}")
-    say(f"images       {camera['width']}x{camera['height']}; camera, seed, segmentation and marking unknown")
+    source = settings.source
+    say(f"object       {settings.object}")
+    say(f"source       {source.name}, SHA-256 {source.sha256[:16]}; convention {source.convention}")
+    say(f"images       {settings.width}x{settings.height}; camera, seed, segmentation and marking unknown")
 
 
 def _print_statistics(statistics: SplitStatistics) -> None:

@@ -15,8 +15,8 @@ from symsol_annot.system.files import write_atomically
 
 @click.command(epilog=example("symsol-annot leaderboard docs/results/leaderboard --out docs/leaderboard.md"))
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="The page, Markdown.")
-@click.option("--check", is_flag=True, help="Write nothing; fail where the page is not what the files give.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="The page, in Markdown.")
+@click.option("--check", is_flag=True, help="Write nothing, and fail where the page is not what the files give.")
 def leaderboard(folder: Path, out: Path, *, check: bool) -> None:
     """Check the results in a folder and build the leaderboard's page from them."""
     board = read_leaderboard(folder)

@@ -1,4 +1,4 @@
-"""What several commands share: the object parameter, the folder argument, what is said while it works."""
+"""What several commands share: parameters for objects, sets and predictions, examples in help, the progress bar."""
 
 import sys
 from pathlib import Path
@@ -36,7 +36,7 @@ class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the 
 
 
 def example(*lines: str) -> str:
-    """Return the end of a command's help: lines to copy into a shell."""
+    """Return the last block of a command's help: example lines to copy into a shell."""
     return "\n".join(["\b", "Example:", *(f"  {line}" for line in lines)])
 
 
@@ -48,10 +48,16 @@ DATA = click.option(
     type=click.Path(path_type=Path),
     default=Path("data"),
     show_default=True,
-    help="Holds the sets, or is one.",
+    help="A set, or the folder of the sets.",
 )
 
 
 def progress_bar(total: int | None, unit: str, done: int = 0) -> "tqdm[None]":
-    """Return a bar with rate (without what was `done`) and time left; quiet where standard error is no terminal."""
+    """Return a bar on standard error with the rate and the time left; it is silent where that is no terminal.
+
+    Args:
+        total: units of work; None where that is not known yet.
+        unit: what is counted, in the singular.
+        done: units that an earlier run finished, which do not count for the rate.
+    """
     return tqdm(total=total, initial=done, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)

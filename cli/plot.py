@@ -7,9 +7,8 @@ import click
 from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.predictions.format import TRACKS
-from symsol_annot.bench.predictions.proposals import predicted_rotations
-from symsol_annot.bench.predictions.reader import open_predictions
+from symsol_annot.bench.predictions.predictions_reader import open_predictions
+from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.bench.predictions.truth import find_set
 from symsol_annot.bench.scoring import curves as score_plots
 from symsol_annot.bench.scoring.report import STRATA
@@ -18,13 +17,18 @@ from symsol_annot.plotting.rotations import KINDS, plot_sets
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets import dataset
 from symsol_annot.sets.dataset import Dataset, Sample
-from symsol_annot.system.extras import check_extra
+from symsol_annot.system.machine import check_extra
 
 _OUT = click.option(
     "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="The picture: .png, .pdf or .svg."
 )
 _IMAGES = click.option(
-    "--image", "images", type=click.IntRange(min=0), multiple=True, default=(0,), help="Which; may be repeated.  [0]"
+    "--image",
+    "images",
+    type=click.IntRange(min=0),
+    multiple=True,
+    default=(0,),
+    help="Index of an image; may be repeated.  [0]",
 )
 
 
@@ -62,7 +66,7 @@ def images(folder: Path, split: str, start: int, count: int, out: Path | None) -
     help="In the ball of rotation vectors, or on the sphere of directions with the tilt as colour.",
 )
 @click.option("--predictions", type=click.Path(path_type=Path), help="Drawn over the truth: a predictions file.")
-@click.option("--track", type=click.Choice(list(TRACKS)), help="If it has several.")
+@click.option("--track", type=click.Choice(list(TRACKS)), help="The track, if the predictions have several.")
 @_OUT
 def sets(
     folder: Path,
@@ -91,10 +95,14 @@ def sets(
 @click.argument("checkpoints", metavar="CHECKPOINT...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @DATA
 @SPLIT
-@click.option("--image", type=click.IntRange(min=0), default=0, show_default=True, help="Which.")
-@click.option("--axis", type=click.Choice(["x", "y", "z"]), default="x", show_default=True, help="The model's.")
+@click.option("--image", type=click.IntRange(min=0), default=0, show_default=True, help="Index of the image.")
+@click.option("--axis", type=click.Choice(["x", "y", "z"]), default="x", show_default=True, help="Axis of the model.")
 @click.option(
-    "--reach", type=click.FloatRange(0, 180, min_open=True), default=180.0, show_default=True, help="Degrees."
+    "--reach",
+    type=click.FloatRange(0, 180, min_open=True),
+    default=180.0,
+    show_default=True,
+    help="The largest angle, in degrees.",
 )
 @_OUT
 def slice_(
@@ -119,7 +127,7 @@ def _add_scores_plot(name: str, draw: Callable[[Sequence[Path], Path, str, str],
 
     @plot.command(name, help=about, epilog=example(line))
     @click.argument("paths", metavar="SCORES.JSON...", nargs=-1, required=True, type=click.Path(path_type=Path))
-    @click.option("--object", "object_name", metavar="NAME", required=True, help="Of those in the scores.")
+    @click.option("--object", "object_name", metavar="NAME", required=True, help="An object in the scores.")
     @click.option("--stratum", type=click.Choice(STRATA), default="all", show_default=True)
     @_OUT
     def draw_scores(paths: tuple[Path, ...], object_name: str, stratum: str, out: Path) -> None:
@@ -165,8 +173,8 @@ def _predicted(path: Path, samples: Dataset, track: str | None) -> tuple[str, Se
         if predictions.truth.fingerprint != samples.fingerprint:
             about = f"{predictions.truth.object} {predictions.truth.split}"
             raise click.UsageError(f"--predictions {path}: is about {about}; --split names another")
-        tracks = {one.name: one for one in predictions.tracks}
-        if track and track not in tracks:
-            raise click.UsageError(f"--track {track}: {path} has {', '.join(tracks)}")
-        chosen = tracks[track] if track else predictions.tracks[0]
-        return predictions.method, [one.rotations for one in predicted_rotations(predictions, chosen)]
+        readers = {reader.name: reader for reader in predictions.readers}
+        if track and track not in readers:
+            raise click.UsageError(f"--track {track}: {path} has {', '.join(readers)}")
+        chosen = readers[track] if track else predictions.readers[0]
+        return predictions.method, [one.rotations for one in predictions.proposals(chosen)]

@@ -9,7 +9,7 @@ from symsol_annot_cli.terminal import say
 from symsol_annot.bench.predictions.truth import find_set
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.sets import dataset
-from symsol_annot.system.extras import check_extra
+from symsol_annot.system.machine import check_extra
 
 
 @click.command(epilog=example("symsol-annot predict runs/tetX-small-ewta --data data --out preds.h5"))
@@ -17,9 +17,11 @@ from symsol_annot.system.extras import check_extra
 @DATA
 @SPLIT
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("preds.h5"), show_default=True)
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, cuda:1 ..")
-@click.option("--method", help="What the file says it is by.  [default: the recipe's name]")
-@click.option("--level", type=click.IntRange(0, 5), default=STANDARD_LEVEL, show_default=True, help="Of the grid.")
+@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
+@click.option("--method", help="The method's name in the file.  [default: the recipe's name]")
+@click.option(
+    "--level", type=click.IntRange(0, 5), default=STANDARD_LEVEL, show_default=True, help="Level of the grid."
+)
 def predict(checkpoint: Path, data: Path, split: str, out: Path, device: str, method: str | None, level: int) -> None:
     """Write the predictions of a trained model, for `score`.
 
@@ -27,8 +29,8 @@ def predict(checkpoint: Path, data: Path, split: str, out: Path, device: str, me
     it; the answers of another checkpoint are refused.
     """
     check_extra("bench", "predicting")
-    from symsol_annot.bench.models import inference  # noqa: PLC0415 - slow to import
-    from symsol_annot.bench.models.training import checkpoints, devices  # noqa: PLC0415
+    from symsol_annot.bench.models import devices, inference  # noqa: PLC0415 - slow to import
+    from symsol_annot.bench.models.training import checkpoints  # noqa: PLC0415
 
     chosen = devices.choose_device(device)
     model = checkpoints.open_checkpoint(checkpoint)

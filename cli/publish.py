@@ -7,22 +7,22 @@ import click
 from symsol_annot_cli.parameters import SET_FOLDER, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.system.extras import check_extra
+from symsol_annot.system.machine import check_extra
 
 
 @click.command(epilog=example("symsol-annot publish data --out bundle"))
 @SET_FOLDER
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="The bundle's folder.")
-@click.option("--title", help="Of the data.")
+@click.option("--title", help="Title of the data.")
 @click.option("--author", "authors", multiple=True, help="A person or a group; may be given several times.")
-@click.option("--version", help="Of the data, like 1.0.0.")
-@click.option("--date", help="Of publication, like 2026-01-31.")
-@click.option("--url", help="Where the data will be.")
+@click.option("--version", help="Version of the data, like 1.0.0.")
+@click.option("--date", help="Date of publication, like 2026-01-31.")
+@click.option("--url", help="Address where the data will be.")
 def publish(folder: Path, out: Path, authors: tuple[str, ...], **texts: str | None) -> None:
     """Make what a host needs: shards, checksums, a Parquet mirror, a dataset card, Croissant metadata, a citation.
 
     DATA is a set like data/cylO, or a folder of sets like data. The sets are verified first. Shards are hard links
-    where the file system allows. The same command goes on where it was stopped.
+    where the file system allows. Re-running the command resumes it, even after a crash.
     """
     check_extra("publish", "publishing")
     from symsol_annot.publish import publication  # noqa: PLC0415 - needs pyarrow

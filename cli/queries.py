@@ -16,7 +16,9 @@ from symsol_annot.system.files import make_folder
 @SET_FOLDER
 @SPLIT
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("queries.h5"), show_default=True)
-@click.option("--level", type=click.IntRange(0, 5), default=STANDARD_LEVEL, show_default=True, help="Of the grid.")
+@click.option(
+    "--level", type=click.IntRange(0, 5), default=STANDARD_LEVEL, show_default=True, help="Level of the grid."
+)
 def queries(folder: Path, split: str, out: Path, level: int) -> None:
     """Write the rotations at which a classifier is asked about each image, and the grid, for other languages."""
     make_folder(out.parent)

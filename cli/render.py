@@ -13,14 +13,15 @@ from symsol_annot.errors import ClusterError
 from symsol_annot.generation.executors import OpenExecutor, local_processes
 from symsol_annot.generation.generate import generate
 from symsol_annot.generation.process import DEFAULT_LIMITS, Limits
-from symsol_annot.objects.check import check_object
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.blender_process import check_blender_installed
-from symsol_annot.rendering.scene import DEFAULT_SIZE, ENGINES, SIZE_RANGE, Camera, RenderSettings
-from symsol_annot.sets.manifest import ANNOTATE_CHOICES, MAX_SEED, Manifest
+from symsol_annot.rendering.camera import DEFAULT_SIZE, SIZE_RANGE, Camera
+from symsol_annot.rendering.engines import DEFAULT_ENGINE, ENGINES
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.sets.manifest import Manifest
 from symsol_annot.sets.plan import SetPlan
-from symsol_annot.system.extras import check_extra
-from symsol_annot.system.machine import cores
+from symsol_annot.sets.settings import ANNOTATE_CHOICES, MAX_SEED
+from symsol_annot.system.machine import check_extra, cores
 from symsol_annot.system.text.names import SPLITS
 
 _MIB = 2**20
@@ -33,13 +34,33 @@ _MIB = 2**20
         "symsol-annot render --object path/to/mug --cluster tcp://10.0.0.1:8786",
     )
 )
-@click.option("--object", "spec", type=ObjectType(), required=True, help="A built-in object, or a folder of your own.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Holds the sets.")
-@click.option("--train", type=click.IntRange(min=0), default=45000, show_default=True, help="Images to train on.")
-@click.option("--test", type=click.IntRange(min=0), default=5000, show_default=True, help="Images to test on.")
-@click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Of the random rotations.")
-@click.option("--size", type=click.IntRange(*SIZE_RANGE), default=DEFAULT_SIZE, show_default=True, help="In pixels.")
-@click.option("--engine", type=click.Choice(ENGINES), default=ENGINES[0], show_default=True, help="Blender's engine.")
+@click.option(
+    "--object",
+    "spec",
+    type=ObjectType(),
+    required=True,
+    help="A built-in object, or the folder of an object of your own.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Folder of the sets."
+)
+@click.option(
+    "--train", type=click.IntRange(min=0), default=45000, show_default=True, help="Number of training images."
+)
+@click.option("--test", type=click.IntRange(min=0), default=5000, show_default=True, help="Number of test images.")
+@click.option(
+    "--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Seed of the random rotations."
+)
+@click.option(
+    "--size",
+    type=click.IntRange(*SIZE_RANGE),
+    default=DEFAULT_SIZE,
+    show_default=True,
+    help="Width and height in pixels.",
+)
+@click.option(
+    "--engine", type=click.Choice(list(ENGINES)), default=DEFAULT_ENGINE, show_default=True, help="Blender's engine."
+)
 @click.option(
     "--annotate",
     type=click.Choice(ANNOTATE_CHOICES),
@@ -52,12 +73,18 @@ _MIB = 2**20
     type=click.Choice(["auto", "exhaustive"]),
     default="auto",
     show_default=True,
-    help="auto: geometry decides where it can, on convex bodies. exhaustive: draw every candidate. Same bytes.",
+    help="auto: let geometry decide where it can. exhaustive: draw every candidate. Both give the same bytes.",
 )
-@click.option("--workers", type=click.IntRange(min=1), default=None, help="Blender processes.  [default: all cores]")
-@click.option("--cluster", metavar="ADDRESS", help="Let a Dask scheduler's workers do it: tls://HOST:8786.")
 @click.option(
-    "--scheduler-file", type=click.Path(path_type=Path), help="The same, the address read from the scheduler's file."
+    "--workers", type=click.IntRange(min=1), default=None, help="Number of Blender processes.  [default: all cores]"
+)
+@click.option(
+    "--cluster", metavar="ADDRESS", help="Address of a Dask scheduler whose workers draw, like tls://HOST:8786."
+)
+@click.option(
+    "--scheduler-file",
+    type=click.Path(path_type=Path),
+    help="As --cluster, with the address read from the scheduler's file.",
 )
 @click.option(
     "--worker-memory",
@@ -65,7 +92,7 @@ _MIB = 2**20
     type=click.IntRange(min=1),
     default=DEFAULT_LIMITS.memory_bytes // _MIB,
     show_default=True,
-    help="A worker that holds more is ended, and its shard begun again.",
+    help="A worker process that holds more memory is ended, and its shard is begun again.",
 )
 @click.option(
     "--worker-frames",
@@ -73,7 +100,7 @@ _MIB = 2**20
     type=click.IntRange(min=1),
     default=DEFAULT_LIMITS.frames,
     show_default=True,
-    help="A worker that has drawn so many is replaced after its shard.",
+    help="A worker process that has drawn N frames is replaced after its shard.",
 )
 @click.option(
     "--time-limit",
@@ -81,11 +108,15 @@ _MIB = 2**20
     type=click.FloatRange(min=0, min_open=True),
     default=DEFAULT_LIMITS.silence_s,
     show_default=True,
-    help="A worker that gives no sign of life for so long is ended, and its shard begun again.",
+    help="A worker process that gives no sign of life for this long is ended, and its shard is begun again.",
 )
 @click.option("--repair", is_flag=True, help="Make damaged or missing shards again, and replace foreign ones.")
 @click.option(
-    "--log-format", type=click.Choice(LOG_FORMATS), default=LOG_FORMATS[0], show_default=True, help="On stderr."
+    "--log-format",
+    type=click.Choice(LOG_FORMATS),
+    default=LOG_FORMATS[0],
+    show_default=True,
+    help="Form of the progress on standard error.",
 )
 def render(
     spec: ObjectSpec,
@@ -109,13 +140,12 @@ def render(
 ) -> None:
     """Make an object's image set: RGB, segmentation and symmetry sets, in HDF5 shards.
 
-    With nothing but --object it makes the published set. The same command again goes on where it stopped.
+    With --object alone it makes the published set. Re-running the command resumes it, even after a crash.
     """
     if train == test == 0:
         raise click.UsageError("--train and --test are both 0, which makes no set; --train 0 alone is fine")
     limits = Limits(worker_frames, worker_memory * _MIB, time_limit)
     open_executor = _executor(workers, cluster, scheduler_file, limits, exhaustive=annotate_method == "exhaustive")
-    check_object(spec)
     plan = SetPlan(spec, {"train": train, "test": test}, seed, Camera.filling(size), RenderSettings(engine), annotate)
     folder = out / spec.name
     with reporter(log_format, spec.name) as report:
@@ -153,7 +183,7 @@ def _executor(
 
 
 def _summarise(folder: Path, manifest: Manifest, tally: Tally) -> None:
-    say(f"{folder}: {manifest.recipe['object']}, fingerprint {manifest.fingerprint}")
+    say(f"{folder}: {manifest.settings.object}, fingerprint {manifest.fingerprint}")
     for split in SPLITS:
         entries = manifest.of_split(split)
         if entries:

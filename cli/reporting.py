@@ -15,11 +15,11 @@ from tqdm import tqdm
 from symsol_annot.errors import printable
 from symsol_annot.generation.events import (
     Event,
+    ForeignShardsFound,
     ImagesMade,
     ShardBegunAgain,
     ShardFinished,
     Started,
-    StrangersFound,
     WorkersGone,
 )
 
@@ -39,7 +39,7 @@ class Tally:
         self.failures: list[ShardBegunAgain] = []
 
     def add(self, event: Event) -> None:
-        """Take note of an event."""
+        """Count an event."""
         match event:
             case Started():
                 self._started_at = self._clock()
@@ -103,7 +103,7 @@ class TextReporter:
                 self._bar.update(event.images)
             case ShardBegunAgain():
                 self._say(f"{event.shard}: begun again after failure {event.attempt}. {event.reason}")
-            case StrangersFound():
+            case ForeignShardsFound():
                 self._say(f"left alone, for they are no shards of this set: {', '.join(event.files)}")
             case WorkersGone():
                 self._say("There is no worker at the moment; waiting for one. Ctrl-C keeps the finished shards.")
@@ -125,7 +125,7 @@ class TextReporter:
 
 
 class JsonReporter:
-    """A line of JSON on standard error for each event, and one of progress a second."""
+    """A line of JSON on standard error for each event, and one line of progress per second."""
 
     def __init__(self) -> None:
         self.tally = Tally()
@@ -142,7 +142,7 @@ class JsonReporter:
                 self._line("progress")
             case Started():
                 self._line("started", images_there=event.images_there, shards_there=event.shards_there)
-            case StrangersFound():
+            case ForeignShardsFound():
                 self._line("strangers_found", files=event.files)
             case ShardFinished():
                 self._line("shard_finished", shard=event.shard, worker=event.worker)

@@ -6,7 +6,7 @@ import click
 from symsol_annot_cli.parameters import DATA, PREDICTIONS, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.predictions.reader import open_predictions
+from symsol_annot.bench.predictions.predictions_reader import open_predictions
 from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.scoring import score as score_predictions
 from symsol_annot.errors import printable
@@ -29,11 +29,11 @@ def score(paths: tuple[Path, ...], data: Path, json_path: Path | None, csv_path:
     scores = []
     for path in paths:
         with open_predictions(path, data) as predictions:
-            rows = len(predictions.tracks) * len(predictions.truth)
+            rows = len(predictions.readers) * len(predictions.truth)
             with progress_bar(rows, "row") as bar:
                 bar.set_description(printable(path.name))
                 scores.append(score_predictions(predictions, bar.update))
-    document = report.to_document(scores, paths)
+    document = report.to_document(scores)
     say(report.tables(document))
     if json_path:
         write_atomically(json_path, report.to_json(document).encode())

@@ -16,10 +16,10 @@ from symsol_annot.bench.predictions.truth import find_set
 from symsol_annot.errors import DataError, printable
 from symsol_annot.sets import dataset
 from symsol_annot.sets.folders import set_folders
-from symsol_annot.system.extras import check_extra
+from symsol_annot.system.machine import check_extra
 
 if TYPE_CHECKING:
-    from symsol_annot.bench.models.training.checkpoints import TrainingRecord
+    from symsol_annot.bench.models.training.record import TrainingRecord
 
 
 def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  # noqa: FBT001 - as click calls it
@@ -33,13 +33,17 @@ def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  
 @click.argument("recipe")
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="List the recipes.")
 @DATA
-@click.option("--object", "object_name", metavar="NAME", help="Which, where --data holds sets of several objects.")
+@click.option("--object", "object_name", metavar="NAME", help="The object, where --data holds sets of several.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="[default: runs/OBJECT-RECIPE]")
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, cuda:1 ..")
-@click.option("--epochs", type=click.IntRange(min=1), help="More or fewer; the schedule is stretched.")
+@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
+@click.option(
+    "--epochs",
+    type=click.IntRange(min=1),
+    help="Number of epochs; the schedule is stretched to it.  [default: the recipe's]",
+)
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True)
 @click.option(
-    "--validation-images", type=click.IntRange(min=0), help="How many train images are evaluated, not learnt."
+    "--validation-images", type=click.IntRange(min=0), help="Number of train images that are kept for evaluation."
 )
 @click.option(
     "--pretrained",
@@ -63,7 +67,7 @@ def train(
 ) -> None:
     """Train a reference model on the train split of a set.
 
-    RECIPE is a built-in one (--list) or a TOML file. The same command again goes on where it stopped.
+    RECIPE is a built-in one (--list) or a TOML file. Re-running the command resumes it, even after a crash.
     """
     check_extra("bench", "training")
     file = load_recipe(recipe)
@@ -74,18 +78,18 @@ def train(
         if validation_images is not None:
             wanted = replace(wanted, validation_images=validation_images)
         place = out or Path("runs") / f"{images.object}-{file.name}"
-        from symsol_annot.bench.models.training import training  # noqa: PLC0415 - slow to import
+        from symsol_annot.bench.models.training import loop  # noqa: PLC0415 - slow to import
 
-        options = training.Options(epochs, seed, device, pretrained, is_compiled)
+        options = loop.Options(epochs, seed, device, pretrained, is_compiled)
         with _Progress(place) as progress:
-            record = training.train(
+            record = loop.train(
                 wanted,
                 images,
                 place,
                 options,
                 name=file.name,
                 on_start=progress.begin,
-                on_images=progress.advance,
+                on_batch=progress.advance,
                 on_epoch=progress.tell,
             )
     say(f"{place}: {record.epochs_done} epochs of {record.epochs}\nNext:\n  symsol-annot predict {place} --data {data}")
@@ -103,21 +107,21 @@ def _set_in(data: Path, object_name: str | None) -> Path:
 
 
 class _Progress:
-    """A bar over all epochs, a line an epoch, and where it is kept if it is interrupted."""
+    """A bar over all epochs, a line per epoch, and a word on what is kept after an interruption."""
 
     def __init__(self, place: Path) -> None:
         self._place = place
         self._bar: tqdm[None] | None = None
 
-    def begin(self, record: "TrainingRecord", images_an_epoch: int) -> None:
-        """Show what is there already."""
-        self._bar = progress_bar(record.epochs * images_an_epoch, "image", done=record.epochs_done * images_an_epoch)
+    def begin(self, record: "TrainingRecord", images_per_epoch: int) -> None:
+        """Open the bar, at the epochs that an earlier run finished."""
+        self._bar = progress_bar(record.epochs * images_per_epoch, "image", done=record.epochs_done * images_per_epoch)
         self._bar.set_description(printable(self._place.name))
         if record.epochs_done:
             _say(f"goes on after epoch {record.epochs_done} of {record.epochs}")
 
     def advance(self, images: int) -> None:
-        """Count images."""
+        """Count a batch's images."""
         if self._bar:
             self._bar.update(images)
 

@@ -7,7 +7,7 @@ import click
 from symsol_annot_cli.parameters import DATA, PREDICTIONS, example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.predictions.reader import open_predictions
+from symsol_annot.bench.predictions.predictions_reader import open_predictions
 from symsol_annot.errors import SymsolError
 
 
@@ -21,7 +21,7 @@ def validate(paths: tuple[Path, ...], data: Path) -> None:
         try:
             with open_predictions(path, data) as predictions:
                 predictions.check()
-                tracks = ", ".join(track.name for track in predictions.tracks)
+                tracks = ", ".join(reader.name for reader in predictions.readers)
                 say(f"{path}: valid; {predictions.truth.object}, {len(predictions.truth)} images: {tracks}")
         except SymsolError as error:
             say(f"Error: {error}", err=True)

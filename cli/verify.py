@@ -30,9 +30,11 @@ from symsol_annot.system.machine import cores
 @click.option("--audit", "audited", metavar="K", type=click.IntRange(min=1), help="Draw K images of each set again.")
 @click.option("--repair", is_flag=True, help="First make damaged, missing and unfinished shards again.")
 @click.option(
-    "--object", "spec", type=ObjectType(), help="To draw with, where the set's object is a folder of your own."
+    "--object", "spec", type=ObjectType(), help="The object to draw, where the set's object is a folder of your own."
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the audit's choice.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the audit's choice of images."
+)
 def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int, *, repair: bool) -> None:
     """Check that a set is whole and consistent.
 
@@ -94,7 +96,7 @@ def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.rando
     plan = plan_behind(folder, manifest, given)
     renderer = RenderProcess(plan.spec, plan.camera, plan.settings)
     with renderer, progress_bar(count, "image") as bar:
-        report = audit(dataset.load(folder, split), plan.spec, renderer, count, rng, bar.update)
+        report = audit(dataset.load(folder, split), plan, renderer, count, rng, bar.update)
     _print_report(folder, report)
     return report.faults
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from symsol_annot import __version__
 from symsol_annot.bench.leaderboard.results import SET
 from symsol_annot.bench.models.recipe import load_recipe
-from symsol_annot.bench.models.training.checkpoints import WEIGHTS, read_record
+from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE, read_record
 from symsol_annot.sets.dataset import load
 
 OBJECTS = ("cylO", "tetX")
@@ -91,7 +91,7 @@ def score(folder, recipe, names):
 def result(recipe, folder):
     """Return the result's TOML, from what the checkpoints say of their trainings."""
     names = RECIPES[recipe]
-    records = {name: read_record(folder / "runs" / f"{name}-{recipe}" / WEIGHTS) for name in names}
+    records = {name: read_record(folder / "runs" / f"{name}-{recipe}" / WEIGHTS_FILE) for name in names}
     words = [f(recipe, name) for name in names for f in (train_command, predict_command)]
     first = records[names[0]]
     head = {

@@ -9,8 +9,9 @@ from matplotlib.path import Path as Polygon
 
 from symsol_annot.annotation.visibility import MarkingVisibility
 from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.plan import label_rotation
 
 INDEX = 3  # of the test split of seed 0: a view that hides the disc
@@ -23,7 +24,7 @@ def main():
     spec, camera, settings = load_object("cylO"), Camera.filling(224), RenderSettings()
     candidates = label_rotation(0, "cylO", "test", INDEX) @ spec.symmetry_group
     with RenderProcess(spec, camera, settings) as renderer:
-        counts = (renderer.marking_pixels(candidates) * settings.samples_per_pixel).round().astype(int)
+        counts = (renderer.marking_pixels(candidates) * settings.points_per_pixel).round().astype(int)
     if counts[0]:
         raise SystemExit(f"image {INDEX} shows the disc: choose another")
     visibility = MarkingVisibility(spec.mesh, camera, settings)

@@ -8,10 +8,11 @@ from matplotlib import pyplot as plt
 from matplotlib.patches import Rectangle
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from symsol_annot.annotation.annotate import annotate, coset_marking_px
+from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import rotations_about
 from symsol_annot.sets.plan import label_rotation
 
@@ -110,8 +111,8 @@ def draw_rule(spec, renderer):
     figure, panels = plt.subplots(2, 7, figsize=(12, 4.4), layout="constrained")
     for row, (name, index) in enumerate({"shows": SHOWN, "hides": HIDDEN}.items()):
         R_gt = label_rotation(0, "cylO", "test", index)
-        pixels = coset_marking_px(spec, R_gt, renderer.render(R_gt).marking_pixels, renderer)
-        mask = annotate(spec, R_gt, pixels, renderer).mask
+        annotator = Annotator(spec, renderer)
+        mask = annotator.annotate(R_gt, annotator.coset_px(R_gt, renderer.render(R_gt).marking_pixels)).mask
         for axes, turn in zip(panels[row], turns, strict=False):
             axes.imshow(renderer.render(R_gt @ spec.symmetry_group[turn]).rgb)
             axes.set(xticks=[], yticks=[])

@@ -1,10 +1,13 @@
-"""Fixtures: small sets, which are made once a session."""
+"""Fixtures: small sets, which are made once per session, and the command in this process."""
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from made_sets import make_set
+from symsol_annot_cli.main import main
 
 
 @pytest.fixture(scope="session")
@@ -17,3 +20,18 @@ def _pristine(tmp_path_factory):
 def tetX_set(_pristine, tmp_path):
     """A copy of a small tetX set that a test may damage."""
     return Path(shutil.copytree(_pristine, tmp_path / "tetX"))
+
+
+@pytest.fixture
+def here(monkeypatch, capfd):
+    """The command's entry point in this process, which is sooner: for the many things that are refused at once."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["symsol-annot", *(str(word) for word in arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        done = subprocess.CompletedProcess(arguments, ended.value.code, *capfd.readouterr())
+        assert "Traceback" not in done.stdout + done.stderr
+        return done
+
+    return call

@@ -20,14 +20,15 @@ import h5py
 import numpy as np
 
 from symsol_annot import load
-from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES, TRACKS
+from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES
 from symsol_annot.bench.predictions.queries import group_sha256, query_count
+from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.rotations.grid import grid_sha256, grid_size
 from symsol_annot.system.sandbox import hdf5_child
 from symsol_annot.system.sandbox import hdf5_process as sandbox
 
 IMAGES, LEVEL, HYPOTHESES = 6, 0, 3
-DATASETS = ("image_index", *(name for names in TRACKS.values() for name in names))
+DATASETS = ("image_index", *(name for track in TRACKS.values() for name in track.datasets))
 STORAGE = {
     "contiguous": {},
     "chunked": {"chunks": True},
@@ -49,7 +50,7 @@ def valid_columns(dataset, rng):
     weights[0, 1] = 0.0
     return {
         "image_index": np.arange(images),
-        "hypotheses": np.stack([labels.symmetry_set(i)[:HYPOTHESES] for i in range(images)]),
+        "hypotheses": np.stack([labels.members(i)[:HYPOTHESES] for i in range(images)]),
         "hypothesis_weights": weights,
         "query_probability": rng.uniform(0.0, 1.0, (images, queries)).astype(np.float32),
         "grid_offsets": offsets,
@@ -93,6 +94,8 @@ def write_file(path, columns, attributes, storage=None, libver=("earliest", "v10
 
 class ForkedChild:
     """What `subprocess.Popen` is to the sandbox, forked from this process instead of started afresh."""
+
+    stderr = os.devnull  # of the processes
 
     def __init__(self, command, **_):
         seconds, processor_seconds, memory_bytes = command[-3:]
@@ -493,5 +496,6 @@ def make_bases(folder):
     for name, storage in STORAGE.items():
         for libver in ("earliest", "v108"), ("latest", "latest"):
             for track in ("all", *TRACKS):
-                chosen = {n: c for n, c in columns.items() if track == "all" or n in ("image_index", *TRACKS[track])}
+                wanted = columns if track == "all" else ("image_index", *TRACKS[track].datasets)
+                chosen = {n: c for n, c in columns.items() if n in wanted}
                 write_file(folder / "bases" / f"{name}-{libver[0]}-{track}.h5", chosen, attributes, storage, libver)

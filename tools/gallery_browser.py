@@ -3,6 +3,7 @@
 python tools/gallery_browser.py installs Chromium where it is missing and this user may.
 """
 
+import argparse
 import contextlib
 import shutil
 import time
@@ -126,4 +127,5 @@ def install_missing():
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     install_missing()

@@ -14,15 +14,18 @@ import sys
 import time
 from itertools import count
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from tqdm import tqdm
 
-from symsol_annot.annotation.annotate import annotate, coset_marking_px, is_shown
+from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.annotation.visibility import MarkingVisibility
 from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.camera import DEFAULT_SIZE, Camera
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import DEFAULT_SIZE, Camera, RenderSettings
+from symsol_annot.rendering.renderer import Renderer
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 from symsol_annot.sets.plan import label_rotation
 
@@ -106,6 +109,7 @@ class Prover:
         self._spec = load_object(name)
         self._renderer = RenderProcess(self._spec, camera, settings)
         self._visibility = MarkingVisibility(self._spec.mesh, camera, settings)
+        self._annotator = Annotator(self._spec, self._renderer)
         mesh, self._distance = self._spec.mesh, camera.distance
         a, b, c = np.moveaxis(mesh.vertices[mesh.triangles[mesh.is_marking]], 1, 0)
         normals, middles = np.cross(b - a, c - a), (a + b + c) / 3
@@ -116,7 +120,7 @@ class Prover:
         """Return how many candidates a view has, how many are drawn, how many differ, and both times in s."""
         R, pixels = self._hidden(self._rotations(kind, number, many))
         (drawn, _, slow), (decided, asked, fast) = (self._annotate(R, pixels, way) for way in (None, self._visibility))
-        ways = [(set_.mask, set_.candidate_pixels > 0, self._is_shown(set_)) for set_ in (drawn, decided)]
+        ways = [(set_.mask, set_.candidate_px > 0, self._is_shown(set_)) for set_ in (drawn, decided)]
         differs = np.any([one != other for one, other in zip(*ways, strict=True)], axis=0)
         return {
             "kind": kind,
@@ -130,17 +134,17 @@ class Prover:
     def _annotate(self, R, pixels, visibility):
         """Return a set, the candidates drawn for it, and the time it took."""
         counted, begun = Counted(self._renderer), time.perf_counter()
-        found = annotate(self._spec, R, pixels, counted, visibility)
+        found = Annotator(self._spec, cast("Renderer", counted), visibility).annotate(R, pixels)
         return found, counted.drawn, time.perf_counter() - begun
 
     def _is_shown(self, annotation):
-        return is_shown(self._spec, annotation.candidate_pixels)
+        return self._annotator.is_shown(annotation.candidate_px)
 
     def _hidden(self, rotations):
         """Return the first rotation that hides the marking, and the area it shows."""
         for R in rotations:
-            pixels = coset_marking_px(self._spec, R, float(self._renderer.marking_pixels(R[None])[0]), self._renderer)
-            if not is_shown(self._spec, pixels):
+            pixels = self._annotator.coset_px(R, float(self._renderer.marking_pixels(R[None])[0]))
+            if not self._annotator.is_shown(pixels):
                 return R, pixels
         raise AssertionError("rotations do not end")
 

@@ -4,6 +4,7 @@
 minutes, most of them for torch and Blender. The table goes to build/release.md.
 """
 
+import argparse
 import shutil
 import statistics
 import subprocess
@@ -23,6 +24,8 @@ _REPEATS = 20
 
 
 def main():
+    """Build, try, and write the table; exit with 1 if anything fails."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     with tempfile.TemporaryDirectory(prefix="release-") as workplace:
         files = built(Path(workplace))
         lines = [f"{path.name}: {path.stat().st_size / 1e6:.2f} MB" for path in files]
@@ -52,7 +55,10 @@ def built(workplace):
 
 def interpreter(version):
     """Find a Python of that version which starts: on the path, or pyenv's; None where there is none."""
-    candidates = [shutil.which(f"python{version}"), *Path.home().glob(f".pyenv/versions/{version}.*/bin/python")]
+    candidates = [
+        shutil.which(f"python{version}"),
+        *map(str, Path.home().glob(f".pyenv/versions/{version}.*/bin/python")),
+    ]
     for path in filter(None, candidates):
         command = [path, "-c", "import venv, sys; print(sys.version)"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)

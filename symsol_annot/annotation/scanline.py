@@ -1,4 +1,4 @@
-"""Samples of a lattice inside polygons and near their edges; a sample's centre is at half-integers."""
+"""Points of the camera's lattice inside polygons and near their edges; the points lie at half-integers."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -30,13 +30,13 @@ class Segments:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
-    """Samples beside several polygons: (k,) each, sorted and without duplicates.
+class LatticePoints:
+    """Lattice points beside several polygons: (k,) each, sorted and without duplicates.
 
     Attributes:
         owner: the polygon's number.
-        row: the centre's v, less a half.
-        column: the centre's u, less a half.
+        row: its v, less a half.
+        column: its u, less a half.
     """
 
     owner: Ints
@@ -44,49 +44,49 @@ class Samples:
     column: Ints
 
     @classmethod
-    def of(cls, *parts: tuple[Ints, Ints, Ints]) -> "Samples":
-        """Return samples (owner, row, column) from several lists, each once."""
+    def of(cls, *parts: tuple[Ints, Ints, Ints]) -> "LatticePoints":
+        """Return the points (owner, row, column) of several lists, each once."""
         owner, row, column = (np.concatenate(values) for values in zip(*parts, strict=True))
         key = _line(owner, row) * _SIDE + column
         _, first = np.unique(key, return_index=True)
         return cls(owner[first], row[first], column[first])
 
     @property
-    def centres(self) -> Floats:
+    def uv(self) -> Floats:
         """Their u, v: (k, 2)."""
         return np.stack([self.column, self.row], axis=1) + 0.5
 
-    def __getitem__(self, chosen: Flags) -> "Samples":
-        return Samples(self.owner[chosen], self.row[chosen], self.column[chosen])
+    def __getitem__(self, chosen: Flags) -> "LatticePoints":
+        return LatticePoints(self.owner[chosen], self.row[chosen], self.column[chosen])
 
-    def __or__(self, other: "Samples") -> "Samples":
-        return Samples.of((self.owner, self.row, self.column), (other.owner, other.row, other.column))
+    def __or__(self, other: "LatticePoints") -> "LatticePoints":
+        return LatticePoints.of((self.owner, self.row, self.column), (other.owner, other.row, other.column))
 
 
 def count_inside(outlines: Segments, polygons: int) -> Ints:
-    """Return how many samples each of n polygons holds: (n,).
+    """Return how many lattice points each of n polygons holds: (n,).
 
-    An outline is closed, of one loop or several, and runs upwards on the right of what it holds. A row's samples left
+    An outline is closed, of one loop or several, and runs upwards on the right of what it holds. A row's points left
     of each crossing are added where the outline goes up, and taken away where it goes down.
     """
     segment, _, column, sign = _crossings(outlines)
     return np.bincount(outlines.owner[segment], sign * (column + 1), polygons).round().astype(np.int64)
 
 
-def is_inside(samples: Samples, outlines: Segments) -> Flags:
-    """Tell which samples (k,) are inside their polygon's outline, by the rule that `count_inside` counts by: (k,)."""
+def is_inside(points: LatticePoints, outlines: Segments) -> Flags:
+    """Tell which points (k,) are inside their polygon's outline, by the rule that `count_inside` counts by: (k,)."""
     segment, row, column, sign = _crossings(outlines)
-    line, theirs = _line(outlines.owner[segment], row), _line(samples.owner, samples.row)
+    line, theirs = _line(outlines.owner[segment], row), _line(points.owner, points.row)
     order = np.argsort(line, kind="stable")
     first, last = np.searchsorted(line[order], theirs), np.searchsorted(line[order], theirs, side="right")
     which, place = _expand(first, last - 1)
     met = order[place]
-    signs = np.where(samples.column[which] <= column[met], sign[met], 0.0)
+    signs = np.where(points.column[which] <= column[met], sign[met], 0.0)
     return np.asarray(np.bincount(which, signs, len(theirs)) > 0)
 
 
-def samples_near(segments: Segments, reach: Floats | float) -> Samples:
-    """Return the samples within `reach` of each of k segments, along u and along v: reach is (k,) or one for all."""
+def points_near(segments: Segments, reach: Floats | float) -> LatticePoints:
+    """Return the lattice points within `reach`, (k,) or one for all, of each of k segments, along u and along v."""
     start, end, reach = segments.start, segments.end, np.broadcast_to(reach, len(segments.start))
     low, high = np.minimum(start, end) - reach[:, None], np.maximum(start, end) + reach[:, None]
     segment, row = _expand(np.ceil(low[:, 1] - 0.5), np.floor(high[:, 1] - 0.5))
@@ -97,11 +97,11 @@ def samples_near(segments: Segments, reach: Floats | float) -> Samples:
     half = np.where(is_level, np.inf, reach * (1.0 + np.abs(slope)))
     left, right = np.maximum(low[segment, 0], middle - half), np.minimum(high[segment, 0], middle + half)
     which, column = _expand(np.ceil(left - 0.5), np.floor(right - 0.5))
-    return Samples.of((segments.owner[segment[which]], row[which], column))
+    return LatticePoints.of((segments.owner[segment[which]], row[which], column))
 
 
 def _crossings(outlines: Segments) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return where segments cross the rows' centres: segment, row, the last column on the left, 1 going up or -1."""
+    """Return where segments cross the rows of points: segment, row, the last column on the left, 1 going up or -1."""
     start, end = outlines.start, outlines.end
     low, high = np.minimum(start[:, 1], end[:, 1]), np.maximum(start[:, 1], end[:, 1])
     segment, row = _expand(np.ceil(low - 0.5), np.ceil(high - 0.5) - 1.0)

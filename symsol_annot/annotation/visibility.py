@@ -1,10 +1,10 @@
 """How much of a marking shows, from geometry alone: bounds on what the renderer would count.
 
 On a convex body a triangle is drawn where it faces the camera: nothing but the body's own front can hide it. A
-rasteriser moves each projected vertex by at most a known distance (its sub-pixel grid, float32), and draws a sample
-where its centre is inside the moved triangle. So samples that are deeper inside the outline of the marking's front than
-that distance are certainly counted, and samples that are farther outside are certainly not. docs/annotation.md derives
-the bounds.
+rasteriser moves each projected vertex by at most a known distance (its sub-pixel grid, float32), and draws a
+lattice point where it is inside the moved triangle. So points that are deeper inside the outline of the marking's front
+than that distance are certainly counted, and points that are farther outside are certainly not. docs/annotation.md
+derives the bounds.
 """
 
 import math
@@ -12,22 +12,29 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.annotation.scanline import Samples, Segments, count_inside, is_inside, samples_near
+from symsol_annot.annotation.scanline import LatticePoints, Segments, count_inside, is_inside, points_near
 from symsol_annot.objects.mesh import Mesh
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.engines import engine_named
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations
 
 Counts = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-# By how much a rasteriser moves a projected vertex: rounding to its sub-pixel grid or, for Cycles, casting rays beside
-# the centres, in samples; and float32 arithmetic, as a share of the lattice's width.
-_ROUNDING = {"workbench": 1.0 / 512.0, "eevee": 1.0 / 512.0, "cycles": 1.0 / 64.0}
-_FLOAT32 = 1e-6
+_FLOAT32 = 1e-6  # what float32 moves it by, as a share of the lattice's width
 _PRODUCT = 1 << 18  # multiplications of one matrix product, beyond which OpenBLAS would start threads
 _NEXT = [1, 2, 0]  # the corner after each of a triangle's three
 _CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
+
+
+def visibility_of(spec: ObjectSpec, camera: Camera, settings: RenderSettings) -> "MarkingVisibility | None":
+    """Return what decides by geometry whether an object's marking shows; None without a marking or a convex body."""
+    if spec.marking is None or not is_convex(spec.mesh):
+        return None
+    return MarkingVisibility(spec.mesh, camera, settings)
 
 
 def is_convex(mesh: Mesh) -> bool:
@@ -37,16 +44,16 @@ def is_convex(mesh: Mesh) -> bool:
 
 
 class MarkingVisibility:
-    """Bounds on the samples of a convex body's marking.
+    """Bounds on the lattice points that show a convex body's marking.
 
     Args:
         mesh: of a convex body.
         camera: what it is seen through.
-        settings: the lattice of samples.
+        settings: the lattice, and the engine that draws it.
     """
 
     def __init__(self, mesh: Mesh, camera: Camera, settings: RenderSettings) -> None:
-        self._lattice, self._per_pixel = camera.lattice(settings.samples_per_axis), settings.samples_per_pixel
+        self._lattice, self._per_pixel = camera.lattice(settings.samples_per_axis), settings.points_per_pixel
         self._shift = vertex_shift(camera, settings)
         used, local = np.unique(mesh.triangles[mesh.is_marking], return_inverse=True)
         self._vertices, self._triangles = mesh.vertices[used], local.reshape(-1, 3)
@@ -76,7 +83,7 @@ class MarkingVisibility:
         return np.where(is_decided, lower / self._per_pixel, np.nan)
 
     def bounds(self, R_m2c: Rotations, enough: int) -> tuple[Counts, Counts]:
-        """Return lower and upper bounds on the marking's samples under each of n rotations.
+        """Return lower and upper bounds on the lattice points that show the marking under each of n rotations.
 
         Args:
             R_m2c: (n, 3, 3).
@@ -96,11 +103,11 @@ class MarkingVisibility:
         return lower, upper
 
     def _quick_bounds(self, R_m2c: Rotations) -> tuple[Counts, Counts]:
-        """Return lower bounds around one sample, and upper bounds of 0 where every triangle faces away for sure."""
+        """Return lower bounds around one point, and upper bounds of 0 where every triangle faces away for sure."""
         facing, lower = self._facing(R_m2c), np.zeros(len(R_m2c), dtype=np.int64)
         upper = np.where((facing > -self._facing_slack(R_m2c)).any(axis=0), np.iinfo(np.int64).max, 0)
         (seen,) = np.nonzero((facing > 0).any(axis=0))
-        lower[seen] = self._around_one_sample(R_m2c[seen], facing[:, seen])
+        lower[seen] = self._around_one_point(R_m2c[seen], facing[:, seen])
         return lower, upper
 
     def _facing(self, R_m2c: Rotations) -> Floats:
@@ -127,14 +134,14 @@ class MarkingVisibility:
         return self._two_shortest[:, None] * by_length + 8.0 * self._shift**2 * scale
 
     def _longest(self, near: Floats) -> Floats:
-        """Return the most samples that a model length of 1 can span at a depth of at least `near`, anywhere in view."""
+        """Return the most spacings that a model length of 1 can span anywhere in view, at a depth of `near` or more."""
         return self._lattice.focal_px / near * self._lattice.distance / np.sqrt(self._lattice.distance**2 - 1.0)
 
-    def _around_one_sample(self, R_m2c: Rotations, facing: Floats) -> Counts:
-        """Return a lower bound (n,): the samples of a square in the front, around one sample amid it.
+    def _around_one_point(self, R_m2c: Rotations, facing: Floats) -> Counts:
+        """Return a lower bound (n,): the lattice points of a square in the front, around one amid it.
 
-        A triangle of a side and the sample has twice the area det(d, a - o, b - o) f^2 / (z_a z_b), from the Pluecker
-        coordinates of ray and side. Over the side's length, that is how far its line is from the sample. A square of
+        A triangle of a side and that point has twice the area det(d, a - o, b - o) f^2 / (z_a z_b), from the Pluecker
+        coordinates of ray and side. Over the side's length, that is how far its line is from the point. A square of
         half-side k reaches sqrt(2) k from its middle; from there to the outline there must be more than sqrt(2) e.
         """
         in_front, (near, far) = facing > 0, self._depths(R_m2c)
@@ -147,7 +154,7 @@ class MarkingVisibility:
         return np.where(is_inside & (half_side >= 0), (2.0 * half_side + 1.0) ** 2, 0.0).astype(np.int64)
 
     def _rays_amid(self, R_m2c: Rotations, facing: Floats) -> Floats:
-        """Return Pluecker coordinates (6, n), in model coordinates, of rays through the samples amid the front."""
+        """Return Pluecker coordinates (6, n), in model coordinates, of rays through the points amid the front."""
         weights = np.maximum(facing, 0.0)
         middle = self._middles @ weights / weights.sum(axis=0)
         world = (R_m2c @ middle.T[:, :, None])[:, :, 0]
@@ -167,17 +174,17 @@ class MarkingVisibility:
         return in_front & is_other[self._neighbours]
 
     def _count(self, R_m2c: Rotations) -> tuple[Counts, Counts]:
-        """Return close bounds: the samples inside the front's outline, less or plus what moved vertices can change.
+        """Return close bounds: the points inside the front's outline, less or plus what moved vertices can change.
 
         That is near the outline, or in a triangle seen from so little behind that it may be drawn.
         """
         n, points, facing = len(R_m2c), self._project(R_m2c), self._facing(R_m2c)
         outline = self._outline(points, facing > 0)
-        count, near = count_inside(outline, n), samples_near(outline, self._shift)
+        count, near = count_inside(outline, n), points_near(outline, self._shift)
         is_less = is_inside(near, outline)
         turned = self._in_turned(points, (facing <= 0) & (facing >= -self._facing_slack(R_m2c)))
         turned = turned[~is_inside(turned, outline)]
-        is_behind = self._is_within_silhouette(R_m2c[turned.owner], turned.centres, 2.0 * self._shift)
+        is_behind = self._is_within_silhouette(R_m2c[turned.owner], turned.uv, 2.0 * self._shift)
         less, more = near[is_less].owner, (near[~is_less] | turned[~is_behind]).owner
         return count - np.bincount(less, minlength=n), count + np.bincount(more, minlength=n)
 
@@ -203,10 +210,10 @@ class MarkingVisibility:
         start, end = self._triangles[triangle, side], self._triangles[triangle, (side + 1) % 3]
         return Segments(image, points[image, start], points[image, end])
 
-    def _in_turned(self, points: Floats, perhaps: Flags) -> Samples:
-        """Return the samples that triangles (T, n) seen from behind may hold when moved vertices turn them round.
+    def _in_turned(self, points: Floats, perhaps: Flags) -> LatticePoints:
+        """Return the points that triangles (T, n) seen from behind may hold when moved vertices turn them round.
 
-        A moved triangle a, b, c that is drawn has a sample p on the left of all its sides, and moving changes
+        A moved triangle a, b, c that is drawn has a point p on the left of all its sides, and moving changes
         (a - p) x (b - p) by at most e (|a - p|_1 + |b - p|_1) + 2 e^2.
         """
         triangle, image = np.nonzero(perhaps)
@@ -216,23 +223,23 @@ class MarkingVisibility:
         sliver, longest = np.arange(len(image)), lengths.argmax(axis=0)
         height = np.abs(_cross(sides[0], sides[1])) / np.maximum(lengths.max(axis=0), np.finfo(float).tiny)
         start = corners[longest, sliver]
-        samples = samples_near(Segments(sliver, start, start + sides[longest, sliver]), self._shift + height)
-        a = corners[:, samples.owner] - samples.centres
+        held = points_near(Segments(sliver, start, start + sides[longest, sliver]), self._shift + height)
+        a = corners[:, held.owner] - held.uv
         b = a[_NEXT]
         change = self._shift * (np.abs(a).sum(axis=-1) + np.abs(b).sum(axis=-1)) + 2.0 * self._shift**2
-        samples = samples[(_cross(a, b) <= change).all(axis=0)]  # v runs downwards: left is negative
-        return Samples.of((image[samples.owner], samples.row, samples.column))
+        held = held[(_cross(a, b) <= change).all(axis=0)]  # v runs downwards: left is negative
+        return LatticePoints.of((image[held.owner], held.row, held.column))
 
     def _project(self, R_m2c: Rotations) -> Floats:
-        """Return all vertices on the lattice of samples, a sample's centre at half-integers: (n, V, 2)."""
+        """Return all vertices on the lattice, whose points lie at half-integers: (n, V, 2)."""
         world = np.swapaxes(R_m2c, 0, 1) @ self._vertices.T  # (3, n, V): x, y and z each in one piece
         return self._lattice.project(np.moveaxis(world, 0, -1))
 
 
 def vertex_shift(camera: Camera, settings: RenderSettings) -> float:
-    """Return by how many samples, along u or v, a renderer can move a projected vertex."""
+    """Return by how many lattice spacings, along u or v, a renderer can move a projected vertex."""
     lattice = camera.lattice(settings.samples_per_axis)
-    return _ROUNDING[settings.engine] + _FLOAT32 * max(lattice.width, lattice.height)
+    return engine_named(settings.engine).vertex_shift + _FLOAT32 * max(lattice.width, lattice.height)
 
 
 def _cross(f: Floats, g: Floats) -> Floats:

@@ -1,6 +1,6 @@
 """The losses of the reference models."""
 
-from symsol_annot.bench.models.networks.losses import (
+from symsol_annot.bench.models.losses import (
     CONCENTRATION,
     EPSILON,
     classification_loss,

@@ -1,8 +1,10 @@
 """Files of weights: read without running code, checked against a model."""
 
-from symsol_annot.bench.models.weights.files import (
+from symsol_annot.bench.models.weights.imagenet import (
     IMAGENET_URL,
     imagenet_file,
+)
+from symsol_annot.bench.models.weights.state_dicts import (
     load_weights,
     read_weights,
     write_weights,

@@ -11,8 +11,10 @@ from symsol_annot.gallery.runs import Run
 from symsol_annot.gallery.sources import Source
 from symsol_annot.generation.origin import plan_behind
 from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, Renderer, RenderSettings
+from symsol_annot.rendering.renderer import Renderer
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.nearest import nearest_angles
 from symsol_annot.sets.dataset import Dataset, Sample
 
@@ -99,10 +101,10 @@ def _opened(dataset: Dataset, given: ObjectSpec | None, open_renderer: OpenRende
 
 
 def _drawn(renderer: Renderer, sample: Sample, element: int, angle_rad: float) -> Drawing:
-    view = renderer.render(sample.rotation @ sample.symmetry_group[element])
+    symmetry_set = sample.symmetry_set
+    view = renderer.render(symmetry_set.R_gt @ symmetry_set.group[element])
     differing = int(np.count_nonzero(view.segmentation != sample.segmentation))
-    is_member = bool(np.asarray(sample.symmetry_mask)[element])
-    return Drawing(element, is_member, float(np.degrees(angle_rad)), differing, view.rgb)
+    return Drawing(element, bool(symmetry_set.is_member[element]), float(np.degrees(angle_rad)), differing, view.rgb)
 
 
 def _chosen_images(images: int, count: int, runs: Sequence[Run]) -> tuple[int, ...]:
@@ -117,8 +119,8 @@ def _chosen_candidates(sample: Sample) -> list[tuple[int, float]]:
 
     The angle between R g and R g' is that between g and g'.
     """
-    mask, group = np.asarray(sample.symmetry_mask), sample.symmetry_group
-    members, rejected = np.flatnonzero(mask), np.flatnonzero(~mask)
+    is_member, group = sample.symmetry_set.is_member, sample.symmetry_set.group
+    members, rejected = np.flatnonzero(is_member), np.flatnonzero(~is_member)
     sides = ((members[members != 0], group[:1]), (rejected, group[members]))  # the identity is the image itself
     return [
         candidate

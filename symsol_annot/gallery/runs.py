@@ -1,27 +1,29 @@
 """Predictions in a gallery: each image's scores, and the rotations that were predicted for it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.bench.predictions.proposals import Predicted, predicted_rotations
-from symsol_annot.bench.predictions.reader import Predictions, open_predictions
-from symsol_annot.bench.predictions.tracks import Track
+from symsol_annot.bench.predictions.predictions_reader import Predictions, open_predictions
+from symsol_annot.bench.predictions.proposals import Predicted
+from symsol_annot.bench.predictions.tracks.track import TrackReader
 from symsol_annot.bench.predictions.truth import Truth
-from symsol_annot.bench.scoring.metric_table import NEITHER, Place, metrics_shown
+from symsol_annot.bench.scoring.metric import NEITHER, Place
+from symsol_annot.bench.scoring.scorers.table import metrics_shown
 from symsol_annot.bench.scoring.scoring import TrackScores, score
 from symsol_annot.errors import PredictionsError, ScoresError
 from symsol_annot.gallery.sources import Source
+from symsol_annot.system.progress import OnImages, ignore_images
 
 _SAME_OF_ONE_IMAGE = "recall_mean_error_image_mean_rad"  # as recall_mean_error_rad; their means differ
 
 
 @dataclass(frozen=True, eq=False)
-class Metric:
-    """A figure of every image.
+class ShownMetric:
+    """A metric of every image, as the page shows it.
 
     Attributes:
         name: as in scores.json.
@@ -57,11 +59,11 @@ class Run:
     track: str
     name: str
     warnings: tuple[str, ...]
-    metrics: tuple[Metric, ...]
+    metrics: tuple[ShownMetric, ...]
     predicted: tuple[Predicted, ...]
 
     @property
-    def leading(self) -> Metric:
+    def leading(self) -> ShownMetric:
         """The first metric that tells good from bad."""
         return next(metric for metric in self.metrics if metric.better != NEITHER)
 
@@ -72,12 +74,12 @@ class Run:
 
 
 def read_runs(
-    paths: Sequence[Path], data: Path, sources: Sequence[Source], on_images: Callable[[int], object] = lambda _: None
+    paths: Sequence[Path], data: Path, sources: Sequence[Source], on_images: OnImages = ignore_images
 ) -> list[Run]:
-    """Read and score predictions files, one run a track.
+    """Read and score predictions files: one run per track.
 
     Args:
-        paths: of predictions files, of any number of methods.
+        paths: predictions files of any number of methods.
         data: a set's folder, or a folder of sets.
         sources: what the gallery shows.
         on_images: called with a count whenever so many images of a track were scored.
@@ -92,7 +94,7 @@ def read_runs(
         with open_predictions(path, data) as predictions:
             number = _source_of(path, predictions.truth, sources)
             scores = score(predictions, on_images)
-            runs += [_run(number, predictions, track, scores.tracks[track.name]) for track in predictions.tracks]
+            runs += [_run(number, predictions, reader, scores.tracks[reader.name]) for reader in predictions.readers]
     keys = [(run.source, run.method, run.track) for run in runs]
     if len(set(keys)) < len(keys):
         raise ScoresError("two of the predictions files are the same track of the same method; give each once")
@@ -108,15 +110,15 @@ def _source_of(path: Path, truth: Truth, sources: Sequence[Source]) -> int:
     raise PredictionsError(str(path), [fault])
 
 
-def _run(source: int, predictions: Predictions, track: Track, scores: TrackScores) -> Run:
-    predicted = tuple(predicted_rotations(predictions, track))
-    metrics = tuple(_metrics(track.name, scores))
-    return Run(source, predictions.method, track.name, scores.name, scores.warnings, metrics, predicted)
+def _run(source: int, predictions: Predictions, reader: TrackReader, scores: TrackScores) -> Run:
+    predicted = tuple(predictions.proposals(reader))
+    metrics = tuple(_metrics(reader.name, scores))
+    return Run(source, predictions.method, reader.name, scores.name, scores.warnings, metrics, predicted)
 
 
-def _metrics(track: str, scores: TrackScores) -> list[Metric]:
+def _metrics(track: str, scores: TrackScores) -> list[ShownMetric]:
     """Return the table's metrics, each of which says something of a single image."""
-    found: list[Metric] = []
+    found: list[ShownMetric] = []
     over = ""
     for metric in metrics_shown(track, Place.TABLES):
         over = over if metric.is_detail else metric.title
@@ -125,5 +127,5 @@ def _metrics(track: str, scores: TrackScores) -> list[Metric]:
             continue
         title = f"{over}: {metric.title}" if metric.is_detail else metric.title
         means = {stratum: figures[metric.name].value for stratum, figures in scores.figures.items()}
-        found.append(Metric(metric.name, title, metric.better, values, means))
+        found.append(ShownMetric(metric.name, title, metric.better, values, means))
     return found

@@ -36,7 +36,7 @@ def open_sources(data: Path, splits: Sequence[str] = ("test",), limit: int | Non
     Args:
         data: a set's folder, or a folder of sets.
         splits: those that are wanted; a set that lacks one of them gives the others.
-        limit: how many images a split, from its beginning; None for all.
+        limit: how many images of each split are shown, from its beginning; None for all.
 
     Raises:
         DataError: no set is there, none has such a split, or one is damaged.

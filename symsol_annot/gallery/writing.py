@@ -1,9 +1,9 @@
 """Writing a gallery: a folder with a page, the page's scripts, pictures as PNG and data as scripts.
 
 index.html, assets/             the page, plotly's bundle
-data/index.js                   what there is: sets, runs, and a column a filter
+data/index.js                   sets, runs, and one column per filter
 data/SHA256SUMS                 the other files, so that the next gallery replaces nothing but this one
-sets/00-cylO-test/00003/        images 300 to 399: labels.js, a run-0.js a run, image-000300.png, ..
+sets/00-cylO-test/00003/        images 300 to 399: labels.js, one run-0.js per run, image-000300.png, ..
 sets/00-cylO-test/redrawn.js    which candidates were drawn again; their pictures beside it
 """
 
@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from symsol_annot import __version__
-from symsol_annot.bench.predictions.proposals import WHAT, Predicted
+from symsol_annot.bench.predictions.proposals import Predicted
+from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.errors import OutputError, first_of, output_errors
 from symsol_annot.gallery.redrawn import Drawing, Redrawer
 from symsol_annot.gallery.runs import Run
@@ -26,11 +27,11 @@ from symsol_annot.gallery.scripts import Document, number, packed, write_script
 from symsol_annot.gallery.sources import Source
 from symsol_annot.plotting.contact_sheet import ID_COLOURS
 from symsol_annot.rotations.so3 import rotation_to_quat_wxyz
-from symsol_annot.sets.png import to_png
 from symsol_annot.system.checksums import changed_in, is_system_note, names_in, read_list, to_list
-from symsol_annot.system.extras import check_extra
 from symsol_annot.system.files import replaced_folder
 from symsol_annot.system.locks import held_folder
+from symsol_annot.system.machine import check_extra
+from symsol_annot.system.png import to_png
 from symsol_annot.system.reading import file_sha256
 
 CHUNK_IMAGES = 100  # whose labels the page loads at once
@@ -179,7 +180,7 @@ def _describe_run(run: Run, source: Source) -> Document:
         "method": run.method,
         "track": run.track,
         "name": run.name,
-        "drawn": WHAT[run.track],
+        "drawn": TRACKS[run.track].title,
         "warnings": list(run.warnings),
         "metrics": metrics,
     }

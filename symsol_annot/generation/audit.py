@@ -1,7 +1,7 @@
 """Drawing images of a set again, to see that its symmetry sets are what the pictures say.
 
-Of each audited image a sample of its candidates R_gt g is drawn, half of them where the set ends: members
-next to candidates that were rejected, and the other way round.
+Of each audited image some candidates R_gt g are drawn, half of them where the set ends: members next to candidates
+that were rejected, and the other way round.
 """
 
 from collections.abc import Callable
@@ -10,18 +10,20 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.annotation.annotate import coset_marking_px, is_shown
+from symsol_annot.annotation.annotator import Annotator
+from symsol_annot.annotation.symmetry_set import SymmetrySet
 from symsol_annot.errors import DataError, NotAnnotatedError
-from symsol_annot.objects.spec import ObjectSpec
-from symsol_annot.rendering.scene import MARKING, Renderer, View
+from symsol_annot.generation.marking_trace import MarkingTrace
+from symsol_annot.rendering.renderer import MARKING, Renderer
 from symsol_annot.rotations.so3 import Rotations, angle_between
 from symsol_annot.sets.dataset import Dataset, Sample
+from symsol_annot.sets.plan import SetPlan
 
 EDGE_PIXELS = 8  # how many pixels two drawings of one view may differ in: vertices round to other sub-pixels
-RGB_LEVELS = 12  # how far a pixel must be off to count; a sample is worth a sixteenth to a quarter of the contrast
+RGB_LEVELS = 12  # how far a pixel must be off to count; a lattice point is worth a 16th to a quarter of the contrast
 CANDIDATES_PER_IMAGE = 24
 NEAR_RAD = np.radians(15.0)  # so far a candidate may be that draws a marking of a pixel or two the same
-_SAMPLES_PER_PIXEL = 4  # each sample of a marking below the tolerance can colour a pixel
+_POINTS_PER_PIXEL = 4  # of the lattice; each of a marking below the tolerance can colour a pixel
 
 
 @dataclass
@@ -48,47 +50,58 @@ class AuditReport:
 
 def audit(
     dataset: Dataset,
-    spec: ObjectSpec,
+    plan: SetPlan,
     renderer: Renderer,
     count: int,
     rng: np.random.Generator,
     on_image: Callable[[], object] = lambda: None,
 ) -> AuditReport:
-    """Draw `count` random images of a split again, each with a sample of its candidates.
+    """Draw random images of a split again, each with up to 24 of its candidates, and compare them with their sets.
+
+    Args:
+        dataset: the split.
+        plan: the one that the set was made by, from `plan_behind`; it gives the object and its colours.
+        renderer: draws the plan's object through the plan's camera.
+        count: how many images; all of a split that has fewer.
+        rng: chooses images and candidates.
+        on_image: called after each image.
 
     Raises:
         NotAnnotatedError: the split has no symmetry sets.
         DataError: the set was imported.
+        SettingsError: the plan's colours do not tell a pixel with some marking from one without.
+        RenderError: the renderer failed.
     """
     if not dataset.is_annotated:
         raise NotAnnotatedError(f"{dataset.folder}: the split {dataset.split!r} has no symmetry sets to audit")
     report = AuditReport()
+    drawer = _Drawer(Annotator(plan.spec, renderer), MarkingTrace(plan.settings))
     for row in np.sort(rng.choice(len(dataset), size=min(count, len(dataset)), replace=False)):
-        _audit_image(dataset[int(row)], spec, renderer, rng, report)
+        _audit_image(dataset[int(row)], drawer, rng, report)
         report.images += 1
         on_image()
     return report
 
 
-def _audit_image(
-    sample: Sample, spec: ObjectSpec, renderer: Renderer, rng: np.random.Generator, report: AuditReport
-) -> None:
+def _audit_image(sample: Sample, drawer: "_Drawer", rng: np.random.Generator, report: AuditReport) -> None:
+    """Draw one image and some of its candidates again, and add what was seen to the report."""
     if sample.segmentation is None or sample.marking_visible is None:
         raise DataError("an imported set cannot be audited: how its images were drawn is not known")
-    view = View(sample.image, sample.segmentation, sample.marking_pixels)
-    stored = _Drawing(view, sample.marking_pixels, sample.marking_visible)
-    found = _faults_of_member(stored, _draw(sample.rotation, spec, renderer))
+    stored = drawer.drawing(sample.image, sample.segmentation, sample.marking_pixels)
+    found = _faults_of_member(stored, drawer.draw(sample.rotation))
     report.faults += [f"image {sample.index}, drawn again at its own rotation: {what}" for what in found]
-    for index in _chosen(sample, rng):
-        drawn = _draw(sample.rotation @ spec.symmetry_group[index], spec, renderer)
+    symmetry_set = sample.symmetry_set
+    candidates = symmetry_set.candidates
+    for index in _chosen(symmetry_set, rng):
+        drawn = drawer.draw(candidates[index])
         report.within_tolerance += int(drawn.coset_px > 0 and not drawn.shows)
-        if np.asarray(sample.symmetry_mask)[index]:
+        if symmetry_set.is_member[index]:
             report.members += 1
             found = [f"member {index} of its set: {what}" for what in _faults_of_member(stored, drawn)]
         else:
             report.rejected += 1
             is_same = stored.draws_the_marking_of(drawn)
-            is_near = is_same and stored.shows and _angle_to_members_rad(sample, index) <= NEAR_RAD
+            is_near = is_same and stored.shows and _angle_to_members_rad(symmetry_set, index) <= NEAR_RAD
             report.near_neighbours += int(is_near)
             found = [f"candidate {index} was rejected, but draws the same marking"] if is_same and not is_near else []
         report.faults += [f"image {sample.index}, {what}" for what in found]
@@ -96,29 +109,46 @@ def _audit_image(
 
 @dataclass(frozen=True)
 class _Drawing:
-    """A view, by how much its coset shows the marking, and whether that counts as shown."""
+    """A view's pictures, and by how much its coset shows the marking.
 
-    view: View
+    Attributes:
+        rgb: (H, W, 3) u8.
+        segmentation: (H, W) u8.
+        trace: (H, W) bool, where the RGB carries the marking's colour.
+        coset_px: the marking's area in pixels, by the rule.
+        shows: whether that counts as shown.
+    """
+
+    rgb: npt.NDArray[np.uint8]
+    segmentation: npt.NDArray[np.uint8]
+    trace: npt.NDArray[np.bool_]
     coset_px: float
     shows: bool
-
-    @property
-    def trace(self) -> npt.NDArray[np.bool_]:
-        """Where the RGB is more red than blue, as body and background never are: a sixth of a pixel or more marked."""
-        return np.asarray(self.view.rgb[..., 0] > self.view.rgb[..., 2])
 
     def draws_the_marking_of(self, other: "_Drawing") -> bool:
         """Tell whether both hide the marking, or both show it in the very same pixels."""
         if not self.shows or not other.shows:
             return self.shows == other.shows
-        same_ids = np.array_equal(self.view.segmentation == MARKING, other.view.segmentation == MARKING)
+        same_ids = np.array_equal(self.segmentation == MARKING, other.segmentation == MARKING)
         return same_ids and np.array_equal(self.trace, other.trace)
 
 
-def _draw(R_m2c: Rotations, spec: ObjectSpec, renderer: Renderer) -> _Drawing:
-    view = renderer.render(R_m2c)
-    coset_px = coset_marking_px(spec, R_m2c, view.marking_pixels, renderer)
-    return _Drawing(view, coset_px, bool(is_shown(spec, coset_px)))
+@dataclass(frozen=True)
+class _Drawer:
+    """Draws rotations as the set's images were drawn."""
+
+    annotator: Annotator
+    marking_trace: MarkingTrace
+
+    def draw(self, R_m2c: Rotations) -> _Drawing:
+        """Return the drawing of one rotation (3, 3)."""
+        view = self.annotator.renderer.render(R_m2c)
+        return self.drawing(view.rgb, view.segmentation, self.annotator.coset_px(R_m2c, view.marking_pixels))
+
+    def drawing(self, rgb: npt.NDArray[np.uint8], segmentation: npt.NDArray[np.uint8], coset_px: float) -> _Drawing:
+        """Return what pictures and an area say by the set's rule and colours."""
+        shows = bool(self.annotator.is_shown(coset_px))
+        return _Drawing(rgb, segmentation, self.marking_trace.of(rgb), coset_px, shows)
 
 
 def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
@@ -132,10 +162,10 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
     if drawn.coset_px == 0 and drawn.trace.any():
         faults.append("hides the marking, yet its RGB carries a trace of the marking's colour")
     below_tolerance = sum(0 if drawing.shows else drawing.coset_px for drawing in (stored, drawn))
-    allowed = EDGE_PIXELS + round(_SAMPLES_PER_PIXEL * below_tolerance)
-    rgb = np.abs(stored.view.rgb.astype(np.int16) - drawn.view.rgb.astype(np.int16)).max(axis=-1) > RGB_LEVELS
+    allowed = EDGE_PIXELS + round(_POINTS_PER_PIXEL * below_tolerance)
+    rgb = np.abs(stored.rgb.astype(np.int16) - drawn.rgb.astype(np.int16)).max(axis=-1) > RGB_LEVELS
     differing = {
-        "segmentation": int(np.count_nonzero(stored.view.segmentation != drawn.view.segmentation)),
+        "segmentation": int(np.count_nonzero(stored.segmentation != drawn.segmentation)),
         "RGB": int(np.count_nonzero(rgb)),
     }
     faults += [
@@ -146,10 +176,9 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
     return faults
 
 
-def _chosen(sample: Sample, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+def _chosen(symmetry_set: SymmetrySet, rng: np.random.Generator) -> npt.NDArray[np.intp]:
     """Return candidates to draw: half at random, half where the set ends, members and rejected in equal parts."""
-    mask = np.asarray(sample.symmetry_mask)
-    group = sample.symmetry_group
+    mask, group = symmetry_set.is_member, symmetry_set.group  # R g is as far from R g' as g from g'
     chosen: list[npt.NDArray[np.intp]] = []
     for side in (mask, ~mask):
         indices = np.flatnonzero(side)
@@ -170,6 +199,6 @@ def _angle_to_nearest_rad(group: Rotations, others: npt.NDArray[np.bool_]) -> np
     return np.asarray(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)).min(axis=1))
 
 
-def _angle_to_members_rad(sample: Sample, index: int) -> float:
-    members = sample.symmetry_group[np.asarray(sample.symmetry_mask)]
-    return float(angle_between(members, sample.symmetry_group[index]).min())
+def _angle_to_members_rad(symmetry_set: SymmetrySet, index: int) -> float:
+    """Return the angle in rad from a candidate to the nearest member."""
+    return float(angle_between(symmetry_set.turns, symmetry_set.group[index]).min())

@@ -1,4 +1,4 @@
-"""What happens while a set is made, for whoever shows or logs it."""
+"""What happens while a set is made, to be shown or logged."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Started:
 
 
 @dataclass(frozen=True)
-class StrangersFound:
+class ForeignShardsFound:
     """The folder holds shards that are none of this set's; they are left alone."""
 
     files: tuple[str, ...]
@@ -58,7 +58,7 @@ class WorkersGone:
     """There is no worker at the moment; the work waits for one."""
 
 
-Event: TypeAlias = Started | StrangersFound | ImagesMade | ShardFinished | ShardBegunAgain | WorkersGone
+Event: TypeAlias = Started | ForeignShardsFound | ImagesMade | ShardFinished | ShardBegunAgain | WorkersGone
 OnEvent: TypeAlias = Callable[[Event], object]
 
 

@@ -1,6 +1,7 @@
-"""Who makes the shards of a plan: an executor takes one shard after the other, and makes several at the same time.
+"""Executors, which make the shards of a plan: they take one shard after the other, and make several at a time.
 
-`in_process` and `local_processes` are here; `cluster.DaskCluster` is the third. `generate` opens one with its plan.
+`in_process` and `local_processes` are here; the third is `dask.executor.DaskCluster`. `generate` opens one with its
+plan.
 """
 
 import time
@@ -12,9 +13,9 @@ from threading import Lock
 from typing import Protocol
 
 from symsol_annot.errors import RendererCrashedError
-from symsol_annot.generation.maker import MadeShard, OnImages, ShardMaker
+from symsol_annot.generation.maker import MadeShard, OnShardImages, ShardMaker
 from symsol_annot.generation.process import DEFAULT_LIMITS, Limits, ShardProcess
-from symsol_annot.rendering.scene import Renderer
+from symsol_annot.rendering.renderer import Renderer
 from symsol_annot.sets.manifest import ShardEntry
 from symsol_annot.sets.plan import SetPlan
 from symsol_annot.system.closing import Closing
@@ -27,12 +28,12 @@ class Executor(AbstractContextManager["Executor"], Protocol):
     def capacity(self) -> int:
         """Return how many shards it can make at the same time now; 0 where it waits for workers."""
 
-    def submit(self, entry: ShardEntry, on_images: OnImages) -> "Future[MadeShard]":
+    def submit(self, entry: ShardEntry, on_shard_images: OnShardImages) -> "Future[MadeShard]":
         """Begin a shard, once there is room.
 
         Args:
             entry: the shard.
-            on_images: told now and then how many of its images are made, by any thread.
+            on_shard_images: told now and then how many of its images are made, by any thread.
 
         The future raises RendererCrashedError where the worker was lost and another may do better.
         """
@@ -46,7 +47,7 @@ class Maker(Protocol):
 
     is_spent: bool
 
-    def make(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
+    def make(self, entry: ShardEntry, on_shard_images: OnShardImages) -> MadeShard:
         """Make one shard."""
 
     def close(self) -> None:
@@ -64,12 +65,12 @@ class MakerPool:
         self._used_at = 0.0
         self._is_closed = False
 
-    def make(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
+    def make(self, entry: ShardEntry, on_shard_images: OnShardImages) -> MadeShard:
         """Make a shard with a maker that waits, or with a new one."""
         maker = self._take()
         is_good = False
         try:
-            made = maker.make(entry, on_images)
+            made = maker.make(entry, on_shard_images)
             is_good = not maker.is_spent
         except RendererCrashedError:
             raise
@@ -129,9 +130,9 @@ class ThreadedExecutor(Closing):
         """Return the number of workers."""
         return self._workers
 
-    def submit(self, entry: ShardEntry, on_images: OnImages) -> "Future[MadeShard]":
+    def submit(self, entry: ShardEntry, on_shard_images: OnShardImages) -> "Future[MadeShard]":
         """Begin a shard, once a worker is free."""
-        return self._threads.submit(self._makers.make, entry, on_images)
+        return self._threads.submit(self._makers.make, entry, on_shard_images)
 
     def close(self) -> None:
         """End all makers and the threads that wait for them."""

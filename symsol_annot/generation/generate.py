@@ -1,7 +1,7 @@
 """Making a set: a plan of shards, carried out by an executor, each checked on arrival and put into the folder.
 
 The plan depends on nothing but the settings, and a shard on nothing but the plan, so that the bytes are the
-same whoever made it and in whatever order. This process alone writes to the folder.
+same whichever worker made it and in whatever order. This process alone writes to the folder.
 """
 
 import hashlib
@@ -21,21 +21,22 @@ from symsol_annot.errors import (
     output_errors,
 )
 from symsol_annot.generation.events import (
+    ForeignShardsFound,
     ImagesMade,
     OnEvent,
     ShardBegunAgain,
     ShardFinished,
     Started,
-    StrangersFound,
     WorkersGone,
     ignore,
 )
 from symsol_annot.generation.executors import Executor, OpenExecutor
 from symsol_annot.generation.maker import MadeShard
+from symsol_annot.objects.check import check_object
 from symsol_annot.sets.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, shards_in, write_manifest
 from symsol_annot.sets.membership import membership_faults
 from symsol_annot.sets.plan import SetPlan
-from symsol_annot.sets.shard.laws import label_faults, labels_of
+from symsol_annot.sets.shard.laws import label_faults
 from symsol_annot.sets.shard.reader import header_mismatches, open_shard
 from symsol_annot.system.files import check_inside, make_folder, written_atomically
 from symsol_annot.system.locks import held_folder
@@ -65,12 +66,14 @@ def generate(
         repair: make shards again that were finished once and are missing or damaged, and replace foreign ones.
 
     Raises:
+        ObjectError: the object's surface or marking has other symmetries than it declares; nothing was touched.
         DifferentSetError: the folder holds another set, or one begun with other software; nothing was touched.
         DataError: a shard in the folder is damaged or foreign, or made again it is not what the manifest says; that
             shard was not touched.
         OutputError: the folder cannot be written to, or another process is making this set.
         RenderError: a worker failed, or a shard lost more than two of them; finished shards are kept.
     """
+    check_object(plan.spec)
     _open_set(plan, folder)  # refuses another set before anything is touched
     with held_folder(folder):
         manifest = _open_set(plan, folder)
@@ -81,14 +84,14 @@ def generate(
             _refuse_foreign(folder, manifest, [entry for entry in todo if not entry.is_finished])
         total, left = (sum(entry.images for entry in entries) for entries in (manifest.shards, todo))
         on_event(Started(total, len(manifest.shards), total - left, len(manifest.shards) - len(todo)))
-        strangers = set(shards_in(folder)) - {entry.file for entry in manifest.shards}
-        if strangers:
-            on_event(StrangersFound(tuple(sorted(strangers))))
+        foreign = set(shards_in(folder)) - {entry.file for entry in manifest.shards}
+        if foreign:
+            on_event(ForeignShardsFound(tuple(sorted(foreign))))
         if todo:
             make_folder(folder)
             check_inside(folder, [MANIFEST_NAME, *(entry.file for entry in manifest.shards)])
             with open_executor(plan) as executor:
-                _Run(folder, executor, manifest, on_event, repair=repair).carry_out(todo)
+                _Execution(folder, executor, manifest, on_event, repair=repair).carry_out(todo)
         return read_manifest(folder)
 
 
@@ -162,8 +165,8 @@ def _differences(there: dict[str, str], here: dict[str, str]) -> list[str]:
     return [f"{name}: there {there.get(name)}, here {here.get(name)}" for name in names]
 
 
-class _Run:
-    """One carrying-out of a plan: a thread submits, one keeps what arrives, and the executor's only count images."""
+class _Execution:
+    """The execution of a plan: a thread submits shards, one keeps what arrives, the executor's threads count images."""
 
     def __init__(
         self, folder: Path, executor: Executor, manifest: Manifest, on_event: OnEvent, *, repair: bool
@@ -284,7 +287,7 @@ class _Run:
             with open_shard(path) as shard:
                 versions = shard.versions
                 wrong = [*membership_faults(shard, self._manifest, entry)]
-                wrong = wrong or [*label_faults(shard, labels_of(shard))]
+                wrong = wrong or [*label_faults(shard, shard.labels())]
         except DataError as error:  # which names a file that is gone by then
             raise DataError(f"{_where(entry, made)}: {str(error).removeprefix(f'{path}: ')}") from None
         if wrong:

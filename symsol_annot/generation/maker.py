@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from symsol_annot import __version__
-from symsol_annot.annotation.annotate import annotate, coset_marking_px, is_shown
-from symsol_annot.annotation.visibility import MarkingVisibility, is_convex
+from symsol_annot.annotation.annotator import Annotator
+from symsol_annot.annotation.visibility import visibility_of
 from symsol_annot.errors import RendererCrashedError
-from symsol_annot.rendering.scene import Renderer
+from symsol_annot.rendering.renderer import Renderer
 from symsol_annot.sets.manifest import ShardEntry
 from symsol_annot.sets.plan import SetPlan, label_rotation
 from symsol_annot.sets.shard.writer import ImageRecord, ShardWriter, storage_versions
 
-OnImages = Callable[[int], object]  # told how many images of the shard are made
+OnShardImages = Callable[[int], object]  # told how many images of the shard are made by now, from 1 up
 
 
 @dataclass(frozen=True)
@@ -58,17 +58,18 @@ class ShardMaker:
         check: Callable[[], object] = lambda: None,
     ) -> None:
         self._plan, self._renderer, self._worker, self._check = plan, renderer, worker, check
-        self._visibility = None if exhaustive else visibility_of(plan)
+        visibility = None if exhaustive else visibility_of(plan.spec, plan.camera, plan.settings)
+        self._annotator = Annotator(plan.spec, renderer, visibility)
         self._is_closed = False
 
-    def make(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
+    def make(self, entry: ShardEntry, on_shard_images: OnShardImages) -> MadeShard:
         """Draw and annotate the images of one shard; it is handed out only if the renderer passes its check after it.
 
         Raises:
             RenderError: the renderer failed or crashed.
         """
         try:
-            return self._made(entry, on_images)
+            return self._made(entry, on_shard_images)
         finally:
             self._check()  # also after an error, which a damaged renderer can be the cause of
 
@@ -77,7 +78,7 @@ class ShardMaker:
         self._is_closed = True
         self._renderer.close()
 
-    def _made(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
+    def _made(self, entry: ShardEntry, on_shard_images: OnShardImages) -> MadeShard:
         manifest, group = self._plan.manifest(), self._plan.spec.symmetry_group
         annotated = manifest.is_annotated(entry.split)
         versions = {"symsol-annot": __version__, **storage_versions(), **self._renderer.versions}
@@ -87,27 +88,19 @@ class ShardMaker:
                 if self._is_closed:
                     raise RendererCrashedError("the renderer was closed while it was drawing")
                 writer.add(self._record(entry, entry.first_index + made, counts, annotated=annotated))
-                on_images(made + 1)
+                on_shard_images(made + 1)
             file = writer.finish(counts)
         return MadeShard(file.data, hashlib.sha256(file.data).hexdigest(), file.content_sha256, self._worker)
 
     def _record(self, entry: ShardEntry, index: int, counts: dict[str, int], *, annotated: bool) -> ImageRecord:
-        spec, renderer = self._plan.spec, self._renderer
-        R_gt = label_rotation(self._plan.seed, spec.name, entry.split, index)
-        view = renderer.render(R_gt)
-        coset_px = coset_marking_px(spec, R_gt, view.marking_pixels, renderer, self._visibility)
+        annotator = self._annotator
+        R_gt = label_rotation(self._plan.seed, self._plan.spec.name, entry.split, index)
+        view = self._renderer.render(R_gt)
+        coset_px = annotator.coset_px(R_gt, view_px=view.marking_pixels)
         if not annotated:
             return ImageRecord(view, R_gt, coset_px, None)
-        annotation = annotate(spec, R_gt, coset_px, renderer, self._visibility)
-        drawn = annotation.candidate_pixels
-        counts["candidates_drawn"] += int(np.count_nonzero(np.isfinite(drawn)))
-        counts["candidates_within_tolerance"] += int(np.count_nonzero((drawn > 0) & ~is_shown(spec, drawn)))
+        annotation = annotator.annotate(R_gt, coset_px)
+        drawn_px = annotation.candidate_px
+        counts["candidates_drawn"] += int(np.count_nonzero(np.isfinite(drawn_px)))
+        counts["candidates_within_tolerance"] += int(np.count_nonzero((drawn_px > 0) & ~annotator.is_shown(drawn_px)))
         return ImageRecord(view, R_gt, coset_px, annotation.mask)
-
-
-def visibility_of(plan: SetPlan) -> MarkingVisibility | None:
-    """Return what decides by geometry whether a plan's marking shows; None without a marking or a convex body."""
-    spec = plan.spec
-    if spec.marking is None or not is_convex(spec.mesh):
-        return None
-    return MarkingVisibility(spec.mesh, plan.camera, plan.settings)

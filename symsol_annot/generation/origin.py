@@ -23,16 +23,16 @@ def plan_behind(folder: Path, manifest: Manifest, given: ObjectSpec | None = Non
         raise DataError(
             f"{folder}: was imported, so it cannot be drawn again; `symsol-annot import-symsol` makes it anew"
         )
-    name = manifest.recipe["object"]
+    name = manifest.settings.object
     if given and given.name == name:
         spec = given
-    elif name in builtin_names():  # a path of that name would be a stranger's say
+    elif name in builtin_names():  # a manifest may name a path, and no object is taken from there
         spec = load_object(name)
     else:
         raise DataError(f"{folder}: its object {name!r} is not built in; give its folder with --object")
-    if spec.digest != manifest.recipe["object_sha256"]:
+    if spec.digest != manifest.rendered.object_sha256:
         raise DataError(
             f"{folder}: was made from another {name} than the one here (their digests differ); "
             "give the object's folder with --object"
         )
-    return SetPlan.of(manifest, spec)
+    return SetPlan.behind(manifest, spec)

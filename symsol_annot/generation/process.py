@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from symsol_annot.errors import RendererCrashedError
-from symsol_annot.generation.maker import MadeShard, OnImages, ShardMaker
+from symsol_annot.generation.maker import MadeShard, OnShardImages, ShardMaker
 from symsol_annot.rendering.blender_process import (
     END_ITSELF,
     SILENCE_S,
@@ -22,6 +22,7 @@ from symsol_annot.rendering.blender_process import (
     serve,
 )
 from symsol_annot.rendering.control import ControlledRenderer
+from symsol_annot.rendering.renderer import Scene
 from symsol_annot.sets.manifest import ShardEntry
 from symsol_annot.sets.plan import SetPlan
 
@@ -36,7 +37,7 @@ class Limits:
     Attributes:
         frames: it is replaced after the shard with which it has drawn so many, candidates counted.
         memory_bytes: it ends where it holds more, and is replaced after a shard with which it holds three quarters.
-        silence_s: it is ended when it gives no sign of life for so long: an image, or 90 candidates.
+        silence_s: it is ended when it gives no sign of life for so long; it gives one per image, or per 90 candidates.
     """
 
     frames: int = 2_000_000
@@ -59,8 +60,7 @@ class ShardProcess:
 
     def __init__(self, plan: SetPlan, limits: Limits, *, exhaustive: bool = False) -> None:
         self._limits = limits
-        scene = (plan, exhaustive, limits.memory_bytes)
-        self._process = BlenderProcess(__name__, scene, limits.silence_s)
+        self._process = BlenderProcess(__name__, _Task(plan, exhaustive, limits.memory_bytes), limits.silence_s)
         self.is_spent = False  # after a shard with which it has reached its limits
 
     @property
@@ -68,12 +68,16 @@ class ShardProcess:
         """The process's name: its machine and number."""
         return _name_of(self._process.pid)
 
-    def make(self, entry: ShardEntry, on_images: OnImages) -> MadeShard:
-        """Make one shard; `on_images` is told of each image, and again of the last one while candidates are counted."""
+    def make(self, entry: ShardEntry, on_shard_images: OnShardImages) -> MadeShard:
+        """Make one shard; `on_shard_images` is told of each image, and of the last again while candidates are drawn.
+
+        Raises:
+            RenderError: the renderer failed, or the process ended.
+        """
 
         def is_sign_of_life(answer: Any) -> bool:
             if isinstance(answer, int):
-                on_images(answer)
+                on_shard_images(answer)
             return isinstance(answer, int)
 
         try:
@@ -89,24 +93,33 @@ class ShardProcess:
         self._process.close()
 
 
-def _start(scene: tuple[SetPlan, bool, int]) -> tuple[Answer, str]:
-    plan, exhaustive, memory_bytes = scene
-    _watch_memory(memory_bytes)
-    renderer = ControlledRenderer(open_blender(plan.spec.mesh, plan.camera, plan.settings))
+@dataclass(frozen=True)
+class _Task:
+    """What a worker process is told at its start."""
+
+    plan: SetPlan
+    exhaustive: bool
+    memory_bytes: int
+
+
+def _start(task: _Task) -> tuple[Answer, str]:
+    plan = task.plan
+    _watch_memory(task.memory_bytes)
+    renderer = ControlledRenderer(open_blender(Scene(plan.spec.mesh, plan.camera, plan.settings)))
     worker = _name_of(os.getpid())
-    maker = ShardMaker(plan, renderer, exhaustive=exhaustive, worker=worker, check=renderer.check)
+    maker = ShardMaker(plan, renderer, exhaustive=task.exhaustive, worker=worker, check=renderer.check)
 
     def answer(entry: ShardEntry, send: Send) -> tuple[MadeShard, int, int]:
         last = 0
 
-        def on_images(made: int) -> None:
+        def on_shard_images(made: int) -> None:
             nonlocal last
             last = made
             forget_chatter()
             send(made)
 
         renderer.on_batch = lambda: send(last)
-        return maker.make(entry, on_images), renderer.frames, _held_bytes()
+        return maker.make(entry, on_shard_images), renderer.frames, _held_bytes()
 
     return answer, worker
 

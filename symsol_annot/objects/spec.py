@@ -7,28 +7,28 @@ spec = load_object("path/to/mug")       # a folder of the same form
 import difflib
 import hashlib
 import math
-import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import ObjectError, RotationError, UnknownObjectError
-from symsol_annot.objects.mesh import MAX_MESH_BYTES, Mesh, parse_mesh, read_object_file
-from symsol_annot.rotations import so3
+from symsol_annot.objects.mesh import Mesh
+from symsol_annot.objects.obj_file import MAX_MESH_BYTES, parse_mesh, read_object_file
+from symsol_annot.objects.object_toml import ObjectToml
+from symsol_annot.rotations.groups import GROUP_KINDS, GroupParameter, left_cosets
+from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.system.text.names import OBJECT_NAME_RULE, is_object_name
-from symsol_annot.system.text.toml import MAX_TOML_BYTES, TITLE_RULE, is_title, parse_toml, shown
+from symsol_annot.system.text.toml import MAX_TOML_BYTES, TITLE_RULE, is_title, shown
 
 OBJECT_FORMAT_VERSION = 1
 MAX_GROUP_ORDER = 3600
 _AXIS_LENGTHS = (1e-9, 1e9)  # within which its square, and so its direction, is a number
-
-
-_Field: TypeAlias = tuple[str, ...]  # the keys that lead to a value
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Marking:
         tolerance_px: T; the marking counts as hidden where it covers less than this area of the image.
     """
 
-    stabiliser: so3.Rotations
+    stabiliser: Rotations
     tolerance_px: float
 
 
@@ -63,11 +63,11 @@ class ObjectSpec:
     digest: str
     folder: Path | None
     mesh: Mesh
-    symmetry_group: so3.Rotations
+    symmetry_group: Rotations
     marking: Marking | None
 
     @property
-    def stabiliser(self) -> so3.Rotations:
+    def stabiliser(self) -> Rotations:
         """The (H, 3, 3) rotations that map body and marking onto themselves; all of C without a marking."""
         return self.symmetry_group if self.marking is None else self.marking.stabiliser
 
@@ -81,7 +81,7 @@ class ObjectSpec:
         """The (G / H, H) indices into `symmetry_group` of the stabiliser's left cosets; row 0 is the stabiliser."""
         if self.marking is None:
             return np.arange(len(self.symmetry_group), dtype=np.intp)[None]
-        return so3.left_cosets(self.symmetry_group, self.marking.stabiliser)
+        return left_cosets(self.symmetry_group, self.marking.stabiliser)
 
 
 def builtin_names() -> tuple[str, ...]:
@@ -115,7 +115,7 @@ def read_object(folder: Path) -> ObjectSpec:
         ObjectError: a file is missing or broken; the message names the field or the line.
     """
     toml_data = read_object_file(folder / "object.toml", MAX_TOML_BYTES)
-    toml = _Toml(folder / "object.toml", toml_data)
+    toml = ObjectToml(folder / "object.toml", toml_data)
     version = toml.take("format_version", int)
     if version != OBJECT_FORMAT_VERSION:
         raise toml.fault("format_version", f"expected {OBJECT_FORMAT_VERSION}, found {version}")
@@ -161,7 +161,7 @@ def _unknown_object(name: str) -> str:
     )
 
 
-def _read_marking(toml: "_Toml") -> Marking:
+def _read_marking(toml: ObjectToml) -> Marking:
     stabiliser = _read_group(toml, "marking.stabiliser")
     tolerance_px = toml.take("marking.tolerance_px", float)
     if not 0.0 < tolerance_px < float("inf"):
@@ -175,28 +175,24 @@ def _read_marking(toml: "_Toml") -> Marking:
     return Marking(stabiliser, tolerance_px)
 
 
-def _read_group(toml: "_Toml", field: str) -> so3.Rotations:
+def _read_group(toml: ObjectToml, field: str) -> Rotations:
     """Return the group that a table like { kind = "cyclic", order = 3, axis = [0, 0, 1] } names."""
-    kind = toml.take(f"{field}.kind", str)
-    finite = {
-        "tetrahedral": so3.tetrahedral_group,
-        "octahedral": so3.octahedral_group,
-        "icosahedral": so3.icosahedral_group,
-    }
-    if kind in finite:
-        return finite[kind]()
-    if kind not in ("cyclic", "dihedral"):
-        kinds = ", ".join(["cyclic", "dihedral", *finite])
-        raise toml.fault(f"{field}.kind", f"expected one of {kinds}, found {kind!r}")
-    order = toml.take(f"{field}.order", int)
+    name = toml.take(f"{field}.kind", str)
+    if name not in GROUP_KINDS:
+        raise toml.fault(f"{field}.kind", f"expected one of {', '.join(GROUP_KINDS)}, found {name!r}")
+    kind = GROUP_KINDS[name]
+    given = [*kind.needs, *(parameter for parameter in kind.takes if toml.has(f"{field}.{parameter}"))]
+    return kind.make(**{parameter: _PARAMETER_READERS[parameter](toml, f"{field}.{parameter}") for parameter in given})
+
+
+def _read_order(toml: ObjectToml, field: str) -> int:
+    order: int = toml.take(field, int)
     if not 1 <= order <= MAX_GROUP_ORDER:
-        raise toml.fault(f"{field}.order", f"expected 1 to {MAX_GROUP_ORDER}, found {order}")
-    if kind == "dihedral":
-        return so3.dihedral_group(order)
-    return so3.cyclic_group(order, _read_axis(toml, f"{field}.axis") if toml.has(f"{field}.axis") else so3.Z_AXIS)
+        raise toml.fault(field, f"expected 1 to {MAX_GROUP_ORDER}, found {order}")
+    return order
 
 
-def _read_axis(toml: "_Toml", field: str) -> list[float]:
+def _read_axis(toml: ObjectToml, field: str) -> list[float]:
     axis = toml.take(field, list)
     numbers = [float(x) for x in axis if isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x)]
     if len(axis) != 3 or len(numbers) != 3 or not any(numbers):
@@ -207,79 +203,4 @@ def _read_axis(toml: "_Toml", field: str) -> list[float]:
     return numbers
 
 
-class _Toml:
-    """An object.toml whose faults name the file, the field and, where it stands in the file, its line."""
-
-    def __init__(self, path: Path, data: bytes) -> None:
-        self._path = path
-        self._taken: set[_Field] = {("provenance",)}
-        try:
-            self._text = data.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise ObjectError(f"{path}: cannot be read: {error}") from None
-        try:
-            self._tables = parse_toml(self._text)
-        except ValueError as error:
-            raise ObjectError(f"{path}: is no valid TOML: {error}") from None
-
-    def has(self, field: str) -> bool:
-        """Tell whether a dotted field is there."""
-        return self._find(field) is not None
-
-    def take(self, field: str, kind: type[Any]) -> Any:
-        """Return a dotted field's value, of the type asked for; integers pass as float."""
-        value = self._find(field)
-        if value is None:
-            raise self.fault(field, "is missing")
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-            raise self.fault(field, f"expected {_TOML_NAMES[kind]}, found {shown(value)}")
-        self._taken.add(tuple(field.split(".")))
-        return value
-
-    def refuse_unknown_fields(self) -> None:
-        """Raise for the first field that nobody took: most often a misspelt one."""
-        for field in _leaves(self._tables):
-            if field not in self._taken and field[:1] not in self._taken:
-                raise self.fault(".".join(field), "is not a field of an object.toml")
-
-    def fault(self, field: str, what: str) -> ObjectError:
-        """Return the error that says what is wrong with a field, and where."""
-        line = self._line_of(field) if self.has(field) else None
-        where = f"{self._path}, line {line}" if line else str(self._path)
-        return ObjectError(f"{where}: {field}: {what}")
-
-    def _line_of(self, field: str) -> int | None:
-        """Return the line where a dotted field is set, by its table's header and its key, or in an inline table."""
-        table = ""
-        for number, line in enumerate(self._text.split("\n"), start=1):
-            header = re.match(r"\s*\[([^\[\]]+)\]", line)
-            key = re.match(r"\s*([^\s=#]+)\s*=", line)
-            if header:
-                table = _plain(header[1]) + "."
-            elif key and f"{field}.".startswith(f"{table}{_plain(key[1])}."):
-                return number
-        return None
-
-    def _find(self, field: str) -> Any:
-        value: Any = self._tables
-        for key in field.split("."):
-            value = value.get(key) if isinstance(value, dict) else None
-        return value
-
-
-_TOML_NAMES = {int: "a whole number", float: "a number", str: "a string", bool: "true or false", list: "a list"}
-
-
-def _plain(key: str) -> str:
-    """Return a dotted TOML key without quotes and spaces."""
-    return re.sub(r"[\s\"']", "", key)
-
-
-def _leaves(table: dict[str, Any], prefix: _Field = ()) -> list[_Field]:
-    """Return the fields of tables within tables, empty tables among them."""
-    fields: list[_Field] = []
-    for key, value in table.items():
-        fields += _leaves(value, (*prefix, key)) if isinstance(value, dict) and value else [(*prefix, key)]
-    return fields
+_PARAMETER_READERS: dict[GroupParameter, Callable[[ObjectToml, str], Any]] = {"order": _read_order, "axis": _read_axis}

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from symsol_annot.errors import SettingsError
-from symsol_annot.system.extras import check_extra
 from symsol_annot.system.files import write_atomically
+from symsol_annot.system.machine import check_extra
 
 # Okabe and Ito's colours, which colour-blind people tell apart
 TRUTH, PREDICTED = "#0072b2", "#d55e00"

@@ -21,7 +21,7 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
     Args:
         samples: what to draw, row by row.
         path: a PNG, PDF or SVG.
-        columns: how many samples a row.
+        columns: how many samples stand in a row.
         has_marking: whether to say over a segmentation how much of the marking shows.
 
     Raises:
@@ -38,10 +38,11 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
         if sample.segmentation is not None:
             caption = _marking_caption(sample) if has_marking else "segmentation"
             _draw_picture(figure.add_subplot(*places[1]), ID_COLOURS[sample.segmentation], caption)
-        if sample.symmetry_mask is not None:
+        if sample.is_annotated:
             ball = figure.add_subplot(*places[2], projection="3d")
-            draw_pi_ball(ball, sample.symmetry_set, sample.rotation)
-            ball.set_title(f"|S| = {len(sample.symmetry_set)}", fontsize=8, pad=0)
+            members = sample.symmetry_set.members
+            draw_pi_ball(ball, members, sample.rotation)
+            ball.set_title(f"|S| = {len(members)}", fontsize=8, pad=0)
     write_figure(figure, path)
 
 

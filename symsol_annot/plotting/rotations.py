@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from symsol_annot.errors import RotationError
 from symsol_annot.plotting.canvas import PREDICTED, TRUTH, label_text, new_figure, write_figure
-from symsol_annot.rendering.supersampling import srgb
+from symsol_annot.rendering.shading import srgb
 from symsol_annot.rotations.so3 import Angles, Rotations
 from symsol_annot.sets.dataset import Sample
 
@@ -39,7 +39,7 @@ def plot_sets(
     predicted: Sequence[Rotations] | None = None,
     title: str = "",
 ) -> None:
-    """Write a picture with a row an image: the image, and its symmetry set.
+    """Write a picture with one row per image: the image, and its symmetry set.
 
     Args:
         samples: annotated.
@@ -63,10 +63,10 @@ def plot_sets(
         image.set(xticks=[], yticks=[])
         image.set_title(f"image {sample.index}", fontsize=8, pad=2)
         axes = figure.add_subplot(grid[row, 1], projection=projection)
-        found = None if predicted is None else predicted[row]
-        draw(axes, sample.symmetry_set, sample.rotation, found)
+        members, found = sample.symmetry_set.members, None if predicted is None else predicted[row]
+        draw(axes, members, sample.rotation, found)
         count = "" if found is None else f", {len(found)} predicted"
-        axes.set_title(f"|S| = {len(sample.symmetry_set)}{count}", fontsize=8, pad=4)
+        axes.set_title(f"|S| = {len(members)}{count}", fontsize=8, pad=4)
     if title:
         figure.suptitle(label_text(title), fontsize=9)
     write_figure(figure, path)

@@ -1,7 +1,7 @@
 """The folder that is published: files put into it whole, with a list of their SHA-256.
 
 The list is written before each file that it names, and has another name until the bundle is finished. So it tells
-after an interruption what is this program's own and may be kept, and what is somebody else's and must not be touched.
+after an interruption what is this program's own and may be kept, and what is not and must not be touched.
 """
 
 import hashlib
@@ -83,7 +83,7 @@ class Bundle:
         return True
 
     def _remove_own(self, name: str) -> None:
-        """Remove a file of the bundle that is about to be written again, unless somebody changed it meanwhile."""
+        """Remove a file of the bundle that is about to be written again, unless it was changed meanwhile."""
         if name in self._sha256 and changed_in(self.folder, {name: self._sha256[name]}):
             _refuse(self.folder, {name}, "holds a file that was changed while this command ran")
         (self.folder / name).unlink(missing_ok=True)
@@ -105,8 +105,8 @@ def open_bundle(folder: Path, expected: Mapping[str, str | None]) -> Bundle:
         listed = _read_checksums(folder)
         there = {name for name in names_in(folder) if not (is_hidden(name) or is_system_note(name) or name[-1] == "/")}
         there -= {CHECKSUMS_NAME, _UNFINISHED_NAME}
-        strangers = there if listed is None else (there | listed.keys()) - expected.keys()
-        _refuse(folder, strangers, "holds files that are no part of this bundle")
+        foreign = there if listed is None else (there | listed.keys()) - expected.keys()
+        _refuse(folder, foreign, "holds files that are no part of this bundle")
         _refuse(folder, {name for name in there if (folder / name).is_symlink()}, "holds links in place of files")
         sha256 = {name: file_sha256(folder / name) for name in there}
         others = {name for name, digest in sha256.items() if expected[name] not in (None, digest)}
@@ -117,7 +117,7 @@ def open_bundle(folder: Path, expected: Mapping[str, str | None]) -> Bundle:
 
 
 def _read_checksums(folder: Path) -> dict[str, str] | None:
-    """Return name to SHA-256 of the list in a folder, or None without one; refuse a list that is somebody else's."""
+    """Return a folder's list, name to SHA-256, or None without one; refuse one that `publish` did not make."""
     for name in (_UNFINISHED_NAME, CHECKSUMS_NAME):
         listed = read_list(folder / name, _MADE_BY)
         if listed is None and os.path.lexists(folder / name):

@@ -1,22 +1,19 @@
 """The dataset card: a page for people, headed by YAML for Hugging Face, its figures measured."""
 
 import json
-from collections.abc import Mapping
 from importlib import resources
 from string import Template
-from typing import TypeAlias
 
 from symsol_annot import __version__
 from symsol_annot.publish.about import LICENCE, LICENCE_URL, About
 from symsol_annot.publish.citation import bibtex
 from symsol_annot.publish.croissant import GROUPS_NAME
-from symsol_annot.publish.figures import SplitFigures
+from symsol_annot.publish.figures import Figures, SplitFigures
 from symsol_annot.publish.sets import GROUPS_CONFIG, PublishedSet
 from symsol_annot.sets.statistics import sizes_in_words
 from symsol_annot.system.text.markdown import escaped, fenced
 
 CARD_NAMES = ("README.md", "dataset_card.md")  # Hugging Face reads the first; the same page under a name that says it
-Figures: TypeAlias = Mapping[tuple[str, str], SplitFigures]  # by the set's name and the split
 _DECADES = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 
 
@@ -97,16 +94,16 @@ def _contents(sets: tuple[PublishedSet, ...], figures: Figures) -> str:
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for published in sets:
-        camera, tolerance = published.manifest.recipe["camera"], published.manifest.recipe["tolerance_px"]
+        camera, tolerance = published.manifest.rendered.camera, published.manifest.rendered.tolerance_px
         for split in published.splits:
             found = figures[published.name, split]
             cells = [
                 published.name,
                 split,
                 f"{found.statistics.images:,}",
-                f"{camera['width']}x{camera['height']}",
-                f"{camera['distance']:g}",
-                f"{camera['focal_px']:.3f}",
+                f"{camera.width}x{camera.height}",
+                f"{camera.distance:g}",
+                f"{camera.focal_px:.3f}",
                 str(found.group_order),
                 "no marking" if tolerance is None else f"{tolerance:g}",
                 _megabytes(found.shard_bytes),
@@ -164,5 +161,5 @@ def _tolerance_in_words(figures: Figures) -> str:
     return f"Here T decided {within:,} of {drawn:,} candidates."
 
 
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:.1f} MB"
+def _megabytes(size: int | None) -> str:
+    return "not measured" if size is None else f"{size / 1e6:.1f} MB"

@@ -1,4 +1,4 @@
-"""A set as Parquet, for readers that know no HDF5: a file a shard, images as PNG, labels to the bit.
+"""A set as Parquet, for readers that know no HDF5: one file per shard, images as PNG, labels to the bit.
 
 The schema says in Hugging Face's way which columns are images; to other readers they are PNG files as bytes.
 """
@@ -15,8 +15,8 @@ import pyarrow.parquet as pq
 
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Sample
-from symsol_annot.sets.png import to_png
 from symsol_annot.sets.shard.chunks import deflate_version
+from symsol_annot.system.png import to_png
 
 PARQUET_FORMAT_VERSION = 1
 ROWS_PER_GROUP = 100  # what a reader of one image has to fetch: about a megabyte

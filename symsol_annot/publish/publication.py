@@ -28,7 +28,7 @@ _DESCRIPTION = (
 def publish(
     sets: tuple[PublishedSet, ...], out: Path, about: About, on_shard: Callable[[], object] = lambda: None
 ) -> None:
-    """Make a bundle of sets in a folder; the same call again goes on where it was stopped, and keeps what is good.
+    """Make a bundle of sets in a folder; the same call again resumes it, and keeps what is good.
 
     The same sets and the same `about` give the same bytes, on the same pyarrow and zlib-ng.
 
@@ -36,7 +36,7 @@ def publish(
         sets: as `sets_in` returned them.
         out: an empty or missing folder, or one that holds this bundle.
         about: what the publisher says.
-        on_shard: called twice a shard: when it is verified, and when it is in the bundle.
+        on_shard: called twice per shard: when it is verified, and when it is in the bundle.
 
     Raises:
         DataError: a set has faults; the message lists all of them.

@@ -6,8 +6,9 @@ whole process down, and is not thread-safe, so it lives in a process of its own.
 
 import os
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, assert_never
 
 import bpy
 import numpy as np
@@ -16,12 +17,14 @@ from PIL.SgiImagePlugin import SgiImageFile
 
 from symsol_annot.errors import RenderError
 from symsol_annot.objects.mesh import Mesh
-from symsol_annot.rendering.scene import MARKING, Camera, RenderSettings, View
-from symsol_annot.rendering.supersampling import CornerLight, SampleIds, view_of
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.engines import Drawing, Engine, engine_named
+from symsol_annot.rendering.renderer import MARKING, Scene, View
+from symsol_annot.rendering.shading import ColourIds, CornerLight
+from symsol_annot.rendering.supersampling import view_of
 from symsol_annot.rotations.so3 import Rotations, rotation_to_quat_wxyz
 from symsol_annot.system.closing import Closing
 
-_ENGINE_IDS = {"workbench": "BLENDER_WORKBENCH", "cycles": "CYCLES", "eevee": "BLENDER_EEVEE_NEXT"}
 _COLOURS = "colours"  # the mesh's attribute
 _SENSOR_WIDTH = 36.0
 _CLIP_MARGIN = 1.5  # bounding-sphere radii in front of and behind the object's centre
@@ -29,47 +32,48 @@ _WINDOW_STEP = 8  # sides of windows are multiples of this many pixels: few size
 
 
 class BlenderRenderer(Closing):
-    """Draws one mesh through one camera in this process, which it takes over: one at a time."""
+    """Draws one scene in this process, which it takes over: one at a time."""
 
-    def __init__(self, mesh: Mesh, camera: Camera, settings: RenderSettings) -> None:
-        self._camera, self._settings, self._n = camera, settings, settings.samples_per_axis
+    def __init__(self, scene: Scene) -> None:
+        mesh, settings, self._camera = scene.mesh, scene.settings, scene.camera
+        self._engine = engine_named(settings.engine)
         self._vertices, self._marking_vertices = mesh.vertices, mesh.marking_vertices
-        self._lattice = camera.lattice(self._n)
-        self._ids = SampleIds(settings)
+        self._n, self._points_per_pixel = settings.samples_per_axis, settings.points_per_pixel
+        self._lattice = self._camera.lattice(self._n)
+        self._ids = ColourIds(settings)
         self._blank = np.full((self._lattice.height, self._lattice.width, 3), self._ids.background)
         self._frame = _FrameFile()
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        self._scene = bpy.context.scene
+        self._blender_scene = bpy.context.scene
         self._light = CornerLight(mesh, self._lattice, settings)
-        self._object = _add_object(self._scene, mesh)
-        self._camera_data = _add_camera(self._scene, camera)
-        _set_up_output(self._scene, self._frame.path)
-        set_up_engine = _set_up_workbench if settings.engine == "workbench" else _set_up_nodes
-        set_up_engine(self._scene, self._object.data, settings)
+        self._object = _add_object(self._blender_scene, mesh)
+        self._blender_camera = _add_camera(self._blender_scene, self._camera)
+        _set_up_output(self._blender_scene, self._frame.path)
+        _set_up_engine(self._blender_scene, self._object.data, self._engine, settings.background_colour)
         self.render(np.eye(3))  # opens the graphics device: it fails here or not at all
 
     @property
     def versions(self) -> dict[str, str]:
         """Blender, and the OpenGL it draws with."""
         found = {"bpy": bpy.app.version_string}
-        if self._settings.engine != "cycles":
+        if self._engine.needs_opengl:
             import gpu  # knows the device once something was drawn
 
             found["opengl"] = f"{gpu.platform.renderer_get()}; {gpu.platform.version_get()}"
         return found
 
     def render(self, R_m2c: Rotations) -> View:
-        """Draw the samples of the window that the object spans, and make a view of them.
+        """Draw the window that the object spans, and make a view of it.
 
         Where the marking is counted in a window of its own, that window is drawn into it: a vertex can round to
-        another sub-pixel there, and then a sample would differ between picture and count.
+        another sub-pixel there, and then a lattice point would differ between picture and count.
         """
         self._turn(R_m2c)
         whole, counted = self._windows(R_m2c)
-        samples = self._blank.copy()
+        frame = self._blank.copy()
         for window in dict.fromkeys((whole, counted)):  # once, where they are one
-            samples[window.samples(self._n)] = self._draw(window)
-        drawn = samples[whole.samples(self._n)]
+            frame[window.lattice_points(self._n)] = self._draw(window)
+        drawn = frame[whole.lattice_points(self._n)]
         ids = self._ids.of(drawn)
         if not ids.any():
             raise RenderError("a frame came back empty: the object is not in it")
@@ -80,11 +84,11 @@ class BlenderRenderer(Closing):
         return View(rgb, segmentation, view.marking_pixels)
 
     def marking_pixels(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
-        """Count the marking's samples, each rotation in the window that its vertices span."""
-        counts = [self._marking_samples(R) for R in R_m2c]
-        return np.array(counts, dtype=np.float64) / self._settings.samples_per_pixel
+        """Count the lattice points on the marking, under each rotation in the window that its vertices span."""
+        counts = [self._points_on_marking(R) for R in R_m2c]
+        return np.array(counts, dtype=np.float64) / self._points_per_pixel
 
-    def _marking_samples(self, R_m2c: Rotations) -> int:
+    def _points_on_marking(self, R_m2c: Rotations) -> int:
         if not len(self._marking_vertices):
             return 0
         self._turn(R_m2c)
@@ -119,17 +123,17 @@ class BlenderRenderer(Closing):
         self._object.data.update_tag()
 
     def _draw(self, window: "_Window") -> npt.NDArray[np.uint8]:
-        """Draw a window's samples: (n height + 1, n width + 1, 3) u8.
+        """Return the colours of a window's lattice points: (n height + 1, n width + 1, 3) u8 in sRGB.
 
         Blender's own border rendering draws the whole frame first; a shifted lens draws the window alone.
         """
-        rows, columns = window.samples(self._n)
+        rows, columns = window.lattice_points(self._n)
         width, height = columns.stop - columns.start, rows.stop - rows.start
         longest = max(width, height)
-        self._camera_data.lens = self._lattice.focal_px * _SENSOR_WIDTH / longest
-        self._camera_data.shift_x = (columns.start + width / 2 - self._lattice.width / 2) / longest
-        self._camera_data.shift_y = -(rows.start + height / 2 - self._lattice.height / 2) / longest
-        self._scene.render.resolution_x, self._scene.render.resolution_y = width, height
+        self._blender_camera.lens = self._lattice.focal_px * _SENSOR_WIDTH / longest
+        self._blender_camera.shift_x = (columns.start + width / 2 - self._lattice.width / 2) / longest
+        self._blender_camera.shift_y = -(rows.start + height / 2 - self._lattice.height / 2) / longest
+        self._blender_scene.render.resolution_x, self._blender_scene.render.resolution_y = width, height
         bpy.ops.render.render(write_still=True)
         return self._frame.read(width, height)
 
@@ -152,8 +156,8 @@ class _Window:
         """Its rows and columns in the image."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
-    def samples(self, n: int) -> tuple[slice, slice]:
-        """Its rows and columns in the lattice of n samples per axis of a pixel, edges included."""
+    def lattice_points(self, n: int) -> tuple[slice, slice]:
+        """Its rows and columns in the lattice of n points per axis of a pixel, edges included."""
         rows, columns = self.pixels
         return slice(n * rows.start, n * rows.stop + 1), slice(n * columns.start, n * columns.stop + 1)
 
@@ -225,34 +229,22 @@ def _set_up_output(scene: Any, path: str) -> None:
     scene.world = bpy.data.worlds.new("world")
 
 
-def _set_up_workbench(scene: Any, _data: Any, settings: RenderSettings) -> None:
-    """Blender's OpenGL engine: the corners' colours as they are, back faces culled, no anti-aliasing."""
-    scene.render.engine = _ENGINE_IDS["workbench"]
-    scene.display.render_aa = "OFF"
-    shading = scene.display.shading
-    shading.color_type, shading.light = "VERTEX", "FLAT"
-    shading.show_backface_culling = True
-    shading.show_cavity = shading.show_object_outline = shading.show_shadows = shading.show_xray = False
-    scene.world.color = settings.background_colour
-
-
-def _set_up_nodes(scene: Any, data: Any, settings: RenderSettings) -> None:
-    """Cycles and EEVEE: surfaces that emit the corners' colours, one sample at each centre."""
-    scene.render.engine = _ENGINE_IDS[settings.engine]
-    scene.render.filter_size = 0.0
-    if settings.engine == "cycles":
-        scene.cycles.device = "CPU"
-        scene.cycles.samples, scene.cycles.use_adaptive_sampling = 1, False
-        scene.cycles.use_denoising = False
-        scene.cycles.max_bounces = scene.cycles.transparent_max_bounces = 8
-        scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 0.01
-        scene.cycles.seed = 0
-        scene.render.threads_mode, scene.render.threads = "FIXED", 1
-    else:
-        scene.eevee.taa_render_samples = 1
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (*settings.background_colour, 1.0)
-    data.materials.append(_emitter())
+def _set_up_engine(scene: Any, data: Any, engine: Engine, background_colour: tuple[float, float, float]) -> None:
+    """Choose the engine, and let it show the corners' colours: back faces culled, one colour for each lattice point."""
+    scene.render.engine = engine.blender_name
+    for path, value in engine.scene_settings.items():
+        owner, _, attribute = path.rpartition(".")
+        setattr(attrgetter(owner)(scene), attribute, value)
+    match engine.drawing:
+        case Drawing.VERTEX_COLOURS:
+            scene.world.color = background_colour
+        case Drawing.EMISSION:
+            scene.world.use_nodes = True
+            background = scene.world.node_tree.nodes["Background"].inputs["Color"]
+            background.default_value = (*background_colour, 1.0)
+            data.materials.append(_emitter())
+        case _:
+            assert_never(engine.drawing)
 
 
 def _emitter() -> Any:

@@ -1,6 +1,6 @@
 """A process that Blender lives in, seen from both its ends: whatever it does to its process is an error message here.
 
-The parent's end, `BlenderProcess`, starts `python -m MODULE CONNECTION LIFELINE`, sends it a scene, and then requests.
+The parent's end, `BlenderProcess`, starts `python -m MODULE CONNECTION LIFELINE`, sends it a task, and then requests.
 The module's end is `serve`. What Blender prints goes to an unnamed file that is quoted when it fails. The process
 ends with its parent, and is ended when it falls silent.
 """
@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from symsol_annot.errors import RendererCrashedError, RendererHungError, RendererMissingError, RenderError
-from symsol_annot.objects.mesh import Mesh
-from symsol_annot.rendering.scene import Camera, Renderer, RenderSettings
+from symsol_annot.rendering.engines import engines_without_opengl
+from symsol_annot.rendering.renderer import Renderer, Scene
 from symsol_annot.system.scratch import Scratch, remove_marked, temporary_errors
 
 if sys.platform != "win32":
@@ -43,7 +43,7 @@ class BlenderProcess:
 
     Args:
         module: runs as the process; it calls `serve`.
-        scene: its first message, sent at first use.
+        task: what it is for, its first message; sent at first use.
         silence_s: for how long it may give no sign of life.
 
     Raises:
@@ -54,9 +54,9 @@ class BlenderProcess:
         OutputError: there is no room for temporary files.
     """
 
-    def __init__(self, module: str, scene: Any, silence_s: float = SILENCE_S) -> None:
+    def __init__(self, module: str, task: Any, silence_s: float = SILENCE_S) -> None:
         check_blender_installed()
-        self._scene, self._silence_s = scene, silence_s
+        self._task, self._silence_s = task, silence_s
         self._greeting: Any = None  # until it has started
         with temporary_errors():
             self._scratch = Scratch()  # Blender's, which removes it once it has started
@@ -95,7 +95,7 @@ class BlenderProcess:
         return self._process.pid
 
     def greeting(self) -> Any:
-        """Hand over the scene, at first use, so that it starts while others do; return what it said when it had."""
+        """Hand over the task, at first use, so that it starts while others do; return what it said when it had."""
         with self._talking:
             return self._start()
 
@@ -122,7 +122,7 @@ class BlenderProcess:
 
     def _start(self) -> Any:
         if self._greeting is None:
-            self._greeting = self._exchange(self._scene)
+            self._greeting = self._exchange(self._task)
         return self._greeting
 
     def _exchange(self, request: Any) -> Any:
@@ -163,7 +163,7 @@ class BlenderProcess:
         if any(word in line for line in lines for word in _NO_OPENGL):
             return RendererMissingError(
                 "this engine draws with OpenGL through EGL, and Blender found none:\n"
-                f"{_quoted(lines)}\n`symsol-annot doctor` says what to install; `--engine cycles` needs no OpenGL."
+                f"{_quoted(lines)}\n`symsol-annot doctor` says what to install; {_other_engines()}."
             )
         if code == END_ITSELF:
             return RendererCrashedError(f"Blender's process {self.pid} ended itself: {lines[-1]}")
@@ -195,8 +195,8 @@ def check_blender_installed() -> None:
         )
 
 
-def open_blender(mesh: Mesh, camera: Camera, settings: RenderSettings) -> Renderer:
-    """Open the renderer on Blender in this process.
+def open_blender(scene: Scene) -> Renderer:
+    """Return the renderer on Blender, which draws one scene in this process.
 
     Raises:
         RendererMissingError: bpy, or a library that it needs, cannot be loaded.
@@ -207,7 +207,7 @@ def open_blender(mesh: Mesh, camera: Camera, settings: RenderSettings) -> Render
         raise RendererMissingError(
             f"Blender's module bpy cannot be loaded: {error}. `symsol-annot doctor` says what to install."
         ) from None
-    return BlenderRenderer(mesh, camera, settings)
+    return BlenderRenderer(scene)
 
 
 Send = Callable[[Any], object]
@@ -215,10 +215,10 @@ Answer = Callable[[Any, Send], Any]  # from a request, and what sends signs of l
 
 
 def serve(start: Callable[[Any], tuple[Answer, Any]]) -> None:
-    """Be the other end: start with the parent's scene, then answer its requests until it goes.
+    """Be the other end: start on the parent's task, then answer its requests until it goes.
 
     Args:
-        start: from the scene to what answers requests, and the greeting.
+        start: from the task to what answers requests, and the greeting.
     """
     connection, lifeline = Connection(int(sys.argv[1])), int(sys.argv[2])
     _die_with_parent(lifeline)
@@ -261,6 +261,11 @@ def _environment(scratch: str) -> dict[str, str]:
         "XDG_CACHE_HOME": scratch,  # else Blender makes ~/.cache/thumbnails
         "MESA_SHADER_CACHE_DISABLE": "true",  # it maps a file, and a full disk ends whoever writes there (SIGBUS)
     }
+
+
+def _other_engines() -> str:
+    """Return which engines draw without OpenGL, in words."""
+    return ", ".join(f"`--engine {name}` needs no OpenGL" for name in engines_without_opengl())
 
 
 def _quoted(lines: list[str]) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import RendererCrashedError
-from symsol_annot.rendering.scene import Renderer, View
+from symsol_annot.rendering.renderer import Renderer, View
 from symsol_annot.rotations.so3 import Rotations, uniform_rotations
 from symsol_annot.system.closing import Closing
 

@@ -12,8 +12,10 @@ from pathlib import Path
 from symsol_annot.errors import RenderError
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.blender_process import RENDERING_PYTHON, check_blender_installed
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.engines import ENGINES
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.settings import RenderSettings
 
 # Shared library: the Debian package that holds it.
 SYSTEM_LIBRARIES = {
@@ -62,8 +64,9 @@ def examine(folder: Path) -> Iterator[Finding]:
     except RenderError as error:
         yield Finding("Blender (bpy)", False, "cannot be used", str(error))
         return
-    for engine in ("workbench", "cycles"):
-        yield _engine(engine)
+    for engine in ENGINES.values():
+        if not engine.needs_gpu:
+            yield _engine(engine.name)
 
 
 def missing_packages() -> list[str]:

@@ -1,13 +1,13 @@
 """A Renderer in a process of its own, asked for one view or one batch of counts at a time."""
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.blender_process import SILENCE_S, Answer, BlenderProcess, open_blender, serve
-from symsol_annot.rendering.scene import Camera, RenderSettings, View
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.renderer import Scene, View
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations, check_rotations
 from symsol_annot.system.closing import Closing
 
@@ -28,7 +28,7 @@ class RenderProcess(Closing):
     def __init__(
         self, spec: ObjectSpec, camera: Camera, settings: RenderSettings, silence_s: float = SILENCE_S
     ) -> None:
-        self._process = BlenderProcess(__name__, (spec.mesh, camera, settings), silence_s)
+        self._process = BlenderProcess(__name__, Scene(spec.mesh, camera, settings), silence_s)
 
     @property
     def versions(self) -> dict[str, str]:
@@ -57,8 +57,8 @@ class RenderProcess(Closing):
         self._process.close()
 
 
-def _start(scene: Any) -> tuple[Answer, dict[str, str]]:
-    renderer = open_blender(*scene)
+def _start(scene: Scene) -> tuple[Answer, dict[str, str]]:
+    renderer = open_blender(scene)
     return lambda request, _: getattr(renderer, request[0])(request[1]), renderer.versions
 
 

@@ -1,125 +1,36 @@
-"""What colours a frame holds, and what becomes of it: ids of samples, averages over pixels, a view.
+"""From a frame, of one unmixed colour for each point of the camera's lattice, to a view.
 
-A frame holds one colour a sample, unmixed, so that picture, segmentation and the marking's area come from one drawing.
+Picture, segmentation and the marking's area come from the same frame, so they cannot contradict each other.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.errors import RenderError, SettingsError
-from symsol_annot.objects.mesh import Mesh
-from symsol_annot.rendering.scene import BACKGROUND, BODY, MARKING, Camera, RenderSettings, View
-from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.rendering.renderer import MARKING, View
 
 Bytes = npt.NDArray[np.uint8]
 
-_NO_ID = 255
-_SHADES = 4096  # more than 8 bits can tell apart
-_ROUNDING = 1  # levels, by float32
-_THIN = 0.25  # samples; beside what is thicker, a sample is at most a fortieth of its height away (2048 pixels)
-_BEYOND = 0.025  # light by which such a sample may be darker or brighter than the corners
 
-
-class CornerLight:
-    """The colours that the camera's light gives the corners of a mesh; an engine interpolates them.
-
-    A rasteriser takes a triangle's colour at samples that lie a little beside it, where its moved corners reach. On a
-    triangle that is thinner than that, seen edge-on, such a colour could be any; so thin triangles have a single one.
-    """
-
-    def __init__(self, mesh: Mesh, lattice: Camera, settings: RenderSettings) -> None:
-        self._mesh, self._lattice, self._settings = mesh, lattice, settings
-        self._colours = np.where(mesh.is_marking[:, None], settings.marking_colour, settings.body_colour)[:, None]
-
-    def colours(self, R_m2c: Rotations) -> npt.NDArray[np.float32]:
-        """Return linear colours (T, 3, 4) with an alpha of 1: colour x (ambient + diffuse x max(0, -n_z))."""
-        cosine = np.maximum(0.0, -(self._mesh.corner_normals @ R_m2c[2]))
-        is_thin = self._heights(R_m2c) < _THIN
-        cosine[is_thin] = cosine[is_thin].mean(axis=1, keepdims=True)
-        colours = np.ones((*cosine.shape, 4), np.float32)
-        light = self._settings.ambient + self._settings.diffuse * cosine
-        colours[..., :3] = self._colours * light[..., None]
-        return colours
-
-    def _heights(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
-        """Return how far each triangle (T,) reaches from its longest side, in samples of the lattice."""
-        corners = self._lattice.project(self._mesh.vertices @ R_m2c.T)[self._mesh.triangles]
-        sides = np.roll(corners, -1, axis=1) - corners
-        doubled_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
-        return np.asarray(doubled_area / np.sqrt((sides**2).sum(axis=2).max(axis=1)))
-
-
-class SampleIds:
-    """Tells from an unmixed colour what was hit: the background, or a material in one of its shades.
-
-    Raises:
-        SettingsError: two materials have a colour in common.
-    """
-
-    def __init__(self, settings: RenderSettings) -> None:
-        self._id_of = np.full(1 << 24, _NO_ID, np.uint8)
-        light = settings.ambient + settings.diffuse * np.linspace(-_BEYOND, 1.0 + _BEYOND, _SHADES)[:, None]
-        self.background = srgb_bytes(np.array(settings.background_colour))
-        colours = {BACKGROUND: self.background[None]}
-        colours |= {
-            BODY: srgb_bytes(light * settings.body_colour),
-            MARKING: srgb_bytes(light * settings.marking_colour),
-        }
-        steps = np.arange(-_ROUNDING, _ROUNDING + 1)
-        around = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 1, 3)
-        for number, shades in colours.items():
-            known = np.unique(shades, axis=0).astype(int) + (0 if number == BACKGROUND else around)
-            keys = _packed(np.clip(known, 0, 255).astype(np.uint8))
-            if np.any((self._id_of[keys] != _NO_ID) & (self._id_of[keys] != number)):
-                raise SettingsError("render colours: background, body and marking must differ in every shade")
-            self._id_of[keys] = number
-
-    def of(self, samples: Bytes) -> Bytes:
-        """Return the ids (h, w) of samples (h, w, 3) in sRGB.
-
-        Raises:
-            RenderError: a sample has a colour that none of them can show.
-        """
-        ids: Bytes = self._id_of[_packed(samples)]
-        if ids.max(initial=0) == _NO_ID:
-            stray = np.unique(samples[ids == _NO_ID], axis=0)
-            raise RenderError(
-                f"Blender drew colours that are neither background, body nor marking: {stray[:8].tolist()}; "
-                "the frame has no segmentation. Finished shards are kept. Please report this, with the command you gave"
-            )
-        return ids
-
-
-def view_of(samples: Bytes, ids: Bytes, n: int) -> View:
-    """Return the view of a frame of samples.
+def view_of(colours: Bytes, ids: Bytes, n: int) -> View:
+    """Return the view of a frame.
 
     Args:
-        samples: (n H + 1, n W + 1, 3) colours in sRGB, as `Camera.lattice` has them.
-        ids: (n H + 1, n W + 1) what each sample hit.
-        n: samples per axis of a pixel, even.
+        colours: (n H + 1, n W + 1, 3) in sRGB, for the points that `Camera.lattice` has.
+        ids: (n H + 1, n W + 1) what lies at each of these points.
+        n: the lattice's points per axis of a pixel, even.
     """
     marking_pixels = int(np.count_nonzero(ids == MARKING)) / n**2
-    return View(pixel_averages(samples, n), np.ascontiguousarray(ids[n // 2 :: n, n // 2 :: n]), marking_pixels)
+    return View(pixel_averages(colours, n), np.ascontiguousarray(ids[n // 2 :: n, n // 2 :: n]), marking_pixels)
 
 
-def pixel_averages(samples: Bytes, n: int) -> Bytes:
+def pixel_averages(colours: Bytes, n: int) -> Bytes:
     """Average over each pixel's square by the trapezoidal rule: (n H + 1, n W + 1, C) to (H, W, C), halves rounded up.
 
-    Of a pixel's (n + 1)^2 samples, those on its edges count half and those on its corners a quarter.
+    Of a pixel's (n + 1)^2 points, those on its edges count half and those on its corners a quarter.
     """
-    rows = _twice_trapezoids(samples.astype(np.uint16), n)
+    rows = _twice_trapezoids(colours.astype(np.uint16), n)
     sums = _twice_trapezoids(rows.swapaxes(0, 1), n).swapaxes(0, 1)
     return np.ascontiguousarray((sums + 2 * n * n) // (4 * n * n), dtype=np.uint8)
-
-
-def srgb(linear: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return linear colours in [0, 1] as sRGB in [0, 1] (IEC 61966-2-1)."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
-def srgb_bytes(linear: npt.NDArray[np.float64]) -> Bytes:
-    """Return linear colours, clipped to [0, 1], as sRGB in 8 bits."""
-    return np.asarray(np.floor(255.0 * np.clip(srgb(linear), 0.0, 1.0) + 0.5).astype(np.uint8))
 
 
 def _twice_trapezoids(values: npt.NDArray[np.uint16], n: int) -> npt.NDArray[np.uint16]:
@@ -128,8 +39,3 @@ def _twice_trapezoids(values: npt.NDArray[np.uint16], n: int) -> npt.NDArray[np.
     for k in range(1, n):
         sums += 2 * values[k::n]
     return sums
-
-
-def _packed(colours: Bytes) -> npt.NDArray[np.uint32]:
-    red, green, blue = (colours[..., channel].astype(np.uint32) for channel in range(3))
-    return np.asarray(red << 16 | green << 8 | blue, dtype=np.uint32)

@@ -7,7 +7,7 @@ Implicit-PDF and of projects on e3nn (Image2Sphere), whose grids are the same ro
 """
 
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, TypeVar
 
 import healpix
@@ -22,6 +22,7 @@ MAX_LEVEL = 6
 STANDARD_LEVEL = 4  # 294,912 rotations, 3.75 degrees from tilt to tilt
 
 _ROUNDING_RAD = 1e-9
+_FINEST_HEALPIX = 29  # its level whose pixels are 4e-9 rad wide
 
 # Which of their axes is our x, y and z: Rx Rz Rx and Ry Rx Ry become Rz Ry Rz.
 _FROM_IMPLICIT_PDF, _FROM_E3NN = (1, 2, 0), (2, 0, 1)
@@ -48,6 +49,40 @@ def equivolumetric_grid(level: int = STANDARD_LEVEL) -> Rotations:
         SettingsError: there is no such level.
     """
     return np.concatenate(list(_slices(level)))
+
+
+def cell_of(R: Rotations, level: int = STANDARD_LEVEL) -> npt.NDArray[np.int64]:
+    """Return the index (n,) of the grid's cell that each rotation (n, 3, 3) lies in.
+
+    The cell of a grid rotation is HEALPix's pixel around its direction times the tilts up to half a step from its own.
+    All cells of a level have the same volume, and together they are SO(3). Where cells are long, near the poles, a
+    rotation can be nearer to the grid rotation of another cell.
+
+    Raises:
+        SettingsError: there is no such level.
+    """
+    grid_size(level)
+    n_side = 2**level
+    direction = healpix.vec2pix(n_side, *np.moveaxis(R[..., 2], -1, 0))
+    tilt = np.arctan2(R[..., 2, 1], -R[..., 2, 0]) * (6 * n_side) / (2.0 * np.pi)
+    index: npt.NDArray[np.int64] = np.rint(tilt).astype(np.int64) % (6 * n_side) * (12 * n_side**2) + direction
+    return index
+
+
+def uniform_in_cells(cells: npt.NDArray[np.int64], level: int, rng: np.random.Generator) -> Rotations:
+    """Draw a rotation uniformly from each of the cells (n,) of a level, which may repeat: (n, 3, 3).
+
+    Raises:
+        SettingsError: there is no such level.
+    """
+    grid_size(level)
+    n_side, deeper = 2**level, _FINEST_HEALPIX - level
+    tilt, direction = np.divmod(cells, 12 * n_side**2)
+    finest = healpix.ring2nest(n_side, direction) * 4**deeper + rng.integers(4**deeper, size=len(cells))
+    polar, azimuth = healpix.pix2ang(2**_FINEST_HEALPIX, finest, nest=True)
+    tilt_rad = 2.0 * np.pi * (tilt + rng.random(len(cells)) - 0.5) / (6 * n_side)
+    about_z, about_y = partial(rotations_about, (0, 0, 1)), partial(rotations_about, (0, 1, 0))
+    return about_z(azimuth) @ about_y(polar) @ about_z(tilt_rad)
 
 
 @lru_cache(maxsize=8)

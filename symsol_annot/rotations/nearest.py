@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, left_cosets, rotations_about
+from symsol_annot.rotations.groups import left_cosets
+from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, rotations_about
 
 CONTINUOUS_CIRCLE_ORDER = 360  # a circle of steps of 1 degree or less stands for a continuous one
 _CLOSE_SQUARED = 1e-4  # 0.4 degrees; from there on the product's rounding is under 1e-13 rad

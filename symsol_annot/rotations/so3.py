@@ -1,26 +1,21 @@
-"""Rotations in three dimensions: distance, sampling, the finite and axial groups, cosets.
+"""Rotations in three dimensions: what is one, their distance, quaternions, uniform sampling.
 
 Rotations are (..., 3, 3) float64 arrays that act on column vectors. Angles are in radians.
 """
 
 import hashlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import RotationError
 
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
-
 Rotations: TypeAlias = npt.NDArray[np.float64]
 Angles: TypeAlias = npt.NDArray[np.float64]
 
-Z_AXIS = (0.0, 0.0, 1.0)
 ORTHONORMAL_TOLERANCE = 1e-9  # float64 labels; a product of a few rotations stays within 1e-15
-_SAME_ROTATION = 1e-6  # entries closer than this are the same element of a group
 
 
 def check_rotations(R: npt.ArrayLike, what: str, tolerance: float = ORTHONORMAL_TOLERANCE) -> Rotations:
@@ -152,97 +147,3 @@ def rotations_about(axis: npt.ArrayLike, angles_rad: npt.ArrayLike) -> Rotations
     cross = np.array([[0.0, -n[2], n[1]], [n[2], 0.0, -n[0]], [-n[1], n[0], 0.0]])
     angles = np.asarray(angles_rad, dtype=np.float64)[..., None, None]
     return np.eye(3) + np.sin(angles) * cross + (1.0 - np.cos(angles)) * (cross @ cross)
-
-
-def cyclic_group(order: int, axis: npt.ArrayLike = Z_AXIS) -> Rotations:
-    """Return the `order` rotations about an axis by multiples of a full turn / order, identity first.
-
-    The end point of the circle is the start point and counts once: order 360 has a step of exactly 1 degree.
-    """
-    return rotations_about(axis, 2.0 * np.pi * np.arange(order) / order)
-
-
-def dihedral_group(order: int) -> Rotations:
-    """Return the 2 x `order` rotations of a prism about z: the cyclic ones, then each after a half turn about x."""
-    turns = cyclic_group(order)
-    flip_about_x = np.diag([1.0, -1.0, -1.0])
-    return np.concatenate([turns, turns @ flip_about_x])
-
-
-def tetrahedral_group() -> Rotations:
-    """Return the 12 rotations of the tetrahedron on the alternating corners of a cube, identity first."""
-    return _signed_permutations(even_only=True)
-
-
-def octahedral_group() -> Rotations:
-    """Return the 24 rotations of the cube with faces across the axes, identity first."""
-    return _signed_permutations(even_only=False)
-
-
-def icosahedral_group() -> Rotations:
-    """Return the 60 rotations of the icosahedron with corners (0, ±1, ±phi) and cyclic shifts, identity first."""
-    phi = (1.0 + np.sqrt(5.0)) / 2.0
-    fifths = cyclic_group(5, axis=(0.0, 1.0, phi))
-    return (fifths[:, None] @ tetrahedral_group()[None]).reshape(-1, 3, 3)
-
-
-def _signed_permutations(*, even_only: bool) -> Rotations:
-    """Return the rotations whose entries are 0 and ±1; `even_only` keeps the cyclic shifts of the axes."""
-    shifts = [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
-    swaps = [] if even_only else [(1, 0, 2), (0, 2, 1), (2, 1, 0)]
-    found = []
-    for permutation in shifts + swaps:
-        for signs in np.ndindex(2, 2, 2):
-            R = np.eye(3)[list(permutation)] * (1.0 - 2.0 * np.array(signs))[:, None]
-            if np.linalg.det(R) > 0:
-                found.append(R)
-    return np.stack(found)
-
-
-def nearest_element(group: Rotations, R: Rotations) -> npt.NDArray[np.intp]:
-    """Return the index in `group` (G, 3, 3) of each rotation in R (..., 3, 3).
-
-    Raises:
-        RotationError: a rotation is not an element of the group.
-    """
-    return _nearest_in(_search_tree(group), R)
-
-
-def _search_tree(group: Rotations) -> "cKDTree":
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - takes 0.2 s, and loading a set needs none
-
-    return cKDTree(group.reshape(-1, 9))
-
-
-def _nearest_in(tree: "cKDTree", R: Rotations) -> npt.NDArray[np.intp]:
-    distance, index = tree.query(R.reshape(-1, 9))
-    if np.any(distance > _SAME_ROTATION):
-        raise RotationError(
-            f"{int(np.count_nonzero(distance > _SAME_ROTATION))} of {len(distance)} rotations "
-            f"are not among the {tree.n} elements of the group; the group is not closed or the wrong one"
-        )
-    found: npt.NDArray[np.intp] = np.asarray(index, dtype=np.intp).reshape(R.shape[:-2])
-    return found
-
-
-def left_cosets(group: Rotations, subgroup: Rotations) -> npt.NDArray[np.intp]:
-    """Partition a group into the left cosets g H of a subgroup H.
-
-    Args:
-        group: (G, 3, 3) the group, identity first.
-        subgroup: (H, 3, 3) elements of the group that form a group, identity first.
-
-    Returns:
-        (G / H, H) indices into `group`, a coset a row; row 0 is the subgroup itself.
-
-    Raises:
-        RotationError: the subgroup's products leave the group.
-    """
-    unseen = np.ones(len(group), dtype=bool)
-    cosets, tree = [], _search_tree(group)
-    for index, element in enumerate(group):
-        if unseen[index]:
-            members = _nearest_in(tree, element @ subgroup)
-            unseen[members] = False
-            cosets.append(members)
-    return np.stack(cosets)

@@ -10,20 +10,23 @@ import copy
 import os
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.symmetry_set import SymmetrySet, circles_of
 from symsol_annot.errors import DamageError, DataError, NotAnnotatedError
-from symsol_annot.rotations.so3 import Rotations, turned
+from symsol_annot.rotations.nearest import Circles
+from symsol_annot.rotations.so3 import Rotations, angle_between
 from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.sets.membership import checked_shard
 from symsol_annot.sets.shard.chunks import ByteFile
-from symsol_annot.sets.shard.reader import GROUP, Shard
+from symsol_annot.sets.shard.reader import Shard, ShardLabels
 from symsol_annot.system.closing import Closing
 from symsol_annot.system.text.names import SPLITS
 
@@ -57,8 +60,13 @@ class Sample:
     symmetry_group: Rotations
 
     @property
-    def symmetry_set(self) -> Rotations:
-        """All (k, 3, 3) rotations R_m2c that draw this image, `rotation` among them.
+    def is_annotated(self) -> bool:
+        """Whether the sample has a symmetry set."""
+        return self.symmetry_mask is not None
+
+    @property
+    def symmetry_set(self) -> SymmetrySet:
+        """All rotations R_m2c that draw this image, `rotation` the first; usable as the array (k, 3, 3) f8 of them.
 
         Raises:
             NotAnnotatedError: the split has no symmetry sets.
@@ -66,7 +74,7 @@ class Sample:
         if self.symmetry_mask is None:
             is_imported = self.segmentation is None
             raise NotAnnotatedError(f"image {self.index} has no symmetry set: its split {_without_sets(is_imported)}")
-        return self.rotation @ self.symmetry_group[self.symmetry_mask]
+        return SymmetrySet(self.rotation, self.symmetry_group, self.symmetry_mask)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,16 +99,43 @@ class Labels:
     def __len__(self) -> int:
         return len(self.rotation)
 
-    def symmetry_set(self, row: int) -> Rotations:
-        """Return all (k, 3, 3) rotations R_m2c that draw image `row`."""
-        return turned(self.rotation[row], self.symmetry_group[self.symmetry_mask[row]])
+    def symmetry_set(self, row: int) -> SymmetrySet:
+        """Return the set of all rotations R_m2c that draw image `row`."""
+        return SymmetrySet(self.rotation[row], self.symmetry_group, self.symmetry_mask[row])
+
+    def candidates(self, row: int) -> Rotations:
+        """Return the rotations (G, 3, 3) that draw image `row` but, perhaps, for its marking."""
+        return self.symmetry_set(row).candidates
+
+    def members(self, row: int) -> Rotations:
+        """Return the members (k, 3, 3) of the symmetry set of image `row`; k is in `set_sizes`."""
+        return self.symmetry_set(row).members
+
+    @cached_property
+    def set_sizes(self) -> npt.NDArray[np.int64]:
+        """(N,) how many members the symmetry set of each image has."""
+        return self.symmetry_mask.sum(axis=1)
+
+    @cached_property
+    def circles(self) -> Circles | None:
+        """The circles that the body's group discretises; None for a group of isolated rotations."""
+        return circles_of(self.symmetry_group)
+
+    def rejected_beyond(self, angle_rad: float) -> npt.NDArray[np.bool_]:
+        """Tell which candidates (N, G) are farther than an angle from every member of the image's set.
+
+        They show the body as the image does and the marking elsewhere; those nearer are hardly told from a member.
+        """
+        group = self.symmetry_group
+        near = np.stack([angle_between(g, group) <= angle_rad for g in group])
+        return ~(self.symmetry_mask.astype(np.float32) @ near.astype(np.float32) > 0)
 
 
 class Dataset(Closing, Sequence[Sample]):
     """A split of a set as a sequence of samples, read when asked for.
 
     At its first use a shard is checked, its SHA-256 and the laws of its labels too, and its labels are read; after that
-    an image costs one read and one inflating.
+    only an image's picture and segmentation are read and inflated.
     A dataset may be used by several threads at once, pickled, and handed to worker processes, forked or spawned. A
     slice is a dataset over the same files.
     """
@@ -117,13 +152,12 @@ class Dataset(Closing, Sequence[Sample]):
     @property
     def object(self) -> str:
         """The object's name."""
-        return str(self.manifest.recipe["object"])
+        return self.manifest.settings.object
 
     @property
     def image_size(self) -> tuple[int, int]:
         """Width and height of every image, in pixels."""
-        camera = self.manifest.recipe["camera"]
-        return camera["width"], camera["height"]
+        return self.manifest.settings.image_size
 
     @property
     def is_annotated(self) -> bool:
@@ -133,7 +167,7 @@ class Dataset(Closing, Sequence[Sample]):
     @property
     def has_marking(self) -> bool:
         """Whether the object has a marking that images of this set are divided by; no imported set is."""
-        return self.manifest.recipe["tolerance_px"] is not None
+        return self.manifest.settings.has_marking
 
     @property
     def fingerprint(self) -> str:
@@ -232,13 +266,14 @@ class Dataset(Closing, Sequence[Sample]):
 class _Shard:
     """What is known of a shard that was checked: its labels, and where its images lie."""
 
-    def __init__(self, shard: Shard, labels: Mapping[str, Any], first_index: int) -> None:
+    def __init__(self, shard: Shard, labels: ShardLabels, first_index: int) -> None:
         self._path, self._identity, self._first_index = shard.path, shard.file.identity, first_index
-        self._tolerance_px = float(shard.attributes.get("tolerance_px", np.nan))
-        self._image, self._segmentation = shard.arrays["image"], shard.arrays.get("segmentation")
-        self._rotation, self._mask = labels["rotation"], labels.get("symmetry_mask")
-        self._pixels = labels.get("marking_pixels", np.full(len(shard), np.nan, dtype=np.float32))
-        self.symmetry_group: Rotations = labels[GROUP]
+        self._tolerance_px = shard.tolerance_px
+        self._image, self._segmentation = shard.image, shard.segmentation
+        self._rotation, self._mask = labels.rotation, labels.symmetry_mask
+        unknown = np.full(len(shard), np.nan, dtype=np.float32)
+        self._pixels = unknown if labels.marking_pixels is None else labels.marking_pixels
+        self.symmetry_group = labels.symmetry_group
         self.symmetry_group.setflags(write=False)  # all samples share it
 
     def open(self) -> ByteFile:

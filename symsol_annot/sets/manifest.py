@@ -6,42 +6,44 @@ digest of itself. `fingerprint` names the finished set by its contents.
 
 import hashlib
 import json
-import math
-import re
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from symsol_annot.errors import DataError, SettingsError
-from symsol_annot.rendering.scene import SIZE_RANGE, Camera, RenderSettings
-from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, UNKNOWN_WHERE_IMPORTED, ShardHeader, shard_file_name
+from symsol_annot.sets.settings import (
+    ImportedSettings,
+    RenderedSettings,
+    SetSettings,
+    is_sha256,
+    is_whole,
+    settings_from_json,
+)
+from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, ShardHeader, shard_file_name
 from symsol_annot.system.files import write_atomically
 from symsol_annot.system.reading import read_bytes
-from symsol_annot.system.text.names import SPLITS, is_object_name
+from symsol_annot.system.text.names import SPLITS
 
 MANIFEST_NAME = "manifest.json"
 MANIFEST_FORMAT = "symsol-annot set"
 MANIFEST_FORMAT_VERSION = 1
 MAX_MANIFEST_BYTES = 2**24  # 50,000 shards; JSON takes up to 25 times its size in memory
-ANNOTATE_CHOICES = ("all", "test", "none")
-MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
 _BESIDES_PIXELS_BYTES = 2**23  # of a shard: the labels of 500 images over 7,200 symmetries, the group, the attributes
-_SHA256 = re.compile(r"[0-9a-f]{64}")
-_SOURCE_NAME_CHARACTERS = 200
+_FINGERPRINTED = ("object", "object_sha256", "seed", "camera")  # of the settings, beside the contents
 
 
 @dataclass(frozen=True)
 class ShardEntry:
-    """One shard of the plan; the last three are None until it is finished.
+    """One shard of the plan; `bytes`, `sha256` and `content_sha256` are None until it is finished.
 
     Attributes:
         file: its name in the folder.
         split: "train" or "test".
         first_index: the index within the split of its first image.
         images: how many it holds.
-        bytes: the file's size.
+        bytes: the size of the file, in bytes.
         sha256: of the file.
-        content_sha256: of its arrays, as `shards.content_sha256`.
+        content_sha256: of its arrays, as `shard.reader.content_sha256`.
     """
 
     file: str
@@ -63,12 +65,11 @@ class Manifest:
     """A set: what it was made from, and its shards.
 
     Attributes:
-        recipe: what decides the contents: object, object_sha256, seed, camera, render, tolerance_px, annotate; of an
-            imported set also source, and None for what is not known.
+        settings: what decides the contents, or what is known of an imported set.
         shards: all planned shards, train before test, in order.
     """
 
-    recipe: dict[str, Any]
+    settings: SetSettings
     shards: tuple[ShardEntry, ...]
 
     @property
@@ -83,11 +84,12 @@ class Manifest:
 
     @property
     def plan_sha256(self) -> str:
-        """The SHA-256 of what the set is to be, the same before and after it is made."""
-        return _sha256_of_json([self.recipe, [[shard.file, shard.first_index, shard.images] for shard in self.shards]])
+        """The SHA-256 of what the set is to be, which making it does not change."""
+        division = [[shard.file, shard.first_index, shard.images] for shard in self.shards]
+        return _sha256_of_json([self.settings.to_json(), division])
 
     def split_fingerprint(self, split: str) -> str | None:
-        """Return the same over one split alone, so that it does not depend on whether the other was rendered."""
+        """Return the fingerprint of one split, which does not depend on whether the other was rendered; None before."""
         shards = self.of_split(split)
         return self._digest(shards) if shards and all(shard.is_finished for shard in shards) else None
 
@@ -101,31 +103,38 @@ class Manifest:
 
     @property
     def is_imported(self) -> bool:
-        """Whether the images are from somewhere else, so that hardly anything is known of how they were made."""
-        return "source" in self.recipe
+        """Whether the images are from another source, which does not say how they were drawn."""
+        return isinstance(self.settings, ImportedSettings)
+
+    @property
+    def rendered(self) -> RenderedSettings:
+        """The settings of a rendered set.
+
+        Raises:
+            DataError: the set was imported, so how its images were drawn is not known.
+        """
+        if not isinstance(self.settings, RenderedSettings):
+            raise DataError(f"{self.settings.object}: is an imported set: how its images were drawn is not known")
+        return self.settings
+
+    @property
+    def imported(self) -> ImportedSettings:
+        """What is known of an imported set.
+
+        Raises:
+            DataError: the set was rendered.
+        """
+        if not isinstance(self.settings, ImportedSettings):
+            raise DataError(f"{self.settings.object}: is a rendered set, which has no source")
+        return self.settings
 
     def is_annotated(self, split: str) -> bool:
         """Tell whether a split carries symmetry sets."""
-        return self.recipe["annotate"] in ("all", split)
+        return self.settings.is_annotated(split)
 
     def header(self, entry: ShardEntry, versions: dict[str, str]) -> ShardHeader:
         """Return what a shard of this set says of itself, made with such software."""
-        recipe = self.recipe
-        tolerance_px = recipe["tolerance_px"]
-        if tolerance_px is None and not self.is_imported:
-            tolerance_px = math.nan
-        return ShardHeader(
-            object=recipe["object"],
-            object_sha256=recipe["object_sha256"],
-            split=entry.split,
-            first_index=entry.first_index,
-            seed=recipe["seed"],
-            camera=recipe["camera"],
-            render=recipe["render"],
-            tolerance_px=tolerance_px,
-            versions=versions,
-            source=recipe.get("source"),
-        )
+        return ShardHeader(self.settings, entry.split, entry.first_index, versions)
 
     def expected_attributes(self, entry: ShardEntry) -> dict[str, Any]:
         """Return the attributes that a shard of this set carries, but for the software's versions."""
@@ -139,7 +148,8 @@ class Manifest:
 
     def differences(self, other: "Manifest") -> list[str]:
         """Say in what the plan of another set differs: one line each."""
-        pairs = [(key, other.recipe.get(key), value) for key, value in self.recipe.items()]
+        there = other.settings.to_json()
+        pairs = [(key, there.get(key), value) for key, value in self.settings.to_json().items()]
         pairs += [(f"{split} images", other.images(split), self.images(split)) for split in SPLITS]
         lines = [f"{what}: there {theirs!r}, asked for {ours!r}" for what, theirs, ours in pairs if theirs != ours]
         plans = [[(s.file, s.first_index, s.images) for s in manifest.shards] for manifest in (self, other)]
@@ -148,7 +158,8 @@ class Manifest:
         return lines
 
     def _digest(self, shards: tuple[ShardEntry, ...]) -> str:
-        made_from = {key: self.recipe[key] for key in ("object", "object_sha256", "seed", "camera")}
+        stated = self.settings.to_json()
+        made_from = {key: stated[key] for key in _FINGERPRINTED}
         contents = [[shard.split, shard.first_index, shard.images, shard.content_sha256] for shard in shards]
         return _sha256_of_json({**made_from, "contents": contents})
 
@@ -233,36 +244,27 @@ def _to_document(manifest: Manifest) -> dict[str, Any]:
     return {
         "format": MANIFEST_FORMAT,
         "format_version": MANIFEST_FORMAT_VERSION,
-        **manifest.recipe,
+        **manifest.settings.to_json(),
         "fingerprint": manifest.fingerprint,
         "splits": splits,
     }
 
 
 def _from_document(document: dict[str, Any]) -> Manifest:
-    not_recipe = ("format", "format_version", "fingerprint", "splits", "manifest_sha256")
-    recipe = {key: value for key, value in document.items() if key not in not_recipe}
+    besides = ("format", "format_version", "fingerprint", "splits", "manifest_sha256")
+    settings = settings_from_json({key: value for key, value in document.items() if key not in besides})
     shards = tuple(
         ShardEntry(split=split, **shard)
         for split in SPLITS
         for shard in document["splits"].get(split, {}).get("shards", [])
     )
-    manifest = Manifest(recipe, shards)
-    _check_types(manifest)
+    manifest = Manifest(settings, shards)
+    _check_shards(manifest)
     return manifest
 
 
-def _check_types(manifest: Manifest) -> None:
-    """Raise a ValueError or TypeError where a setting is none, or shards do not follow on."""
-    recipe = manifest.recipe
-    expected = ["object", "object_sha256", "seed", "camera", "render", "tolerance_px", "annotate"]
-    _require(set(recipe) == {*expected, *(["source"] if manifest.is_imported else [])}, "unknown fields")
-    _require(is_object_name(recipe["object"]), "object")
-    _require(type(recipe["annotate"]) is str and recipe["annotate"] in ANNOTATE_CHOICES, "annotate")
-    if manifest.is_imported:
-        _check_source(recipe)
-    else:
-        _check_rendered(recipe)
+def _check_shards(manifest: Manifest) -> None:
+    """Raise a ValueError where an entry is none that a shard can have, or shards do not follow on."""
     for split in SPLITS:
         following, shards = 0, manifest.of_split(split)
         for number, shard in enumerate(shards):
@@ -270,43 +272,17 @@ def _check_types(manifest: Manifest) -> None:
             _require(type(shard.first_index) is int and type(shard.images) is int, shard.file)
             _require(shard.file == name and shard.first_index == following, shard.file)
             _require(1 <= shard.images <= MAX_IMAGES_PER_SHARD, shard.file)
-            _require(_is_finished_or_not(shard, recipe["camera"]), shard.file)
+            _require(_is_finished_or_not(shard, manifest.settings.image_size), shard.file)
             following += shard.images
 
 
-def _check_rendered(recipe: dict[str, Any]) -> None:
-    camera = recipe["camera"]
-    _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
-    _require(all(_is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
-    _require(_is_real(camera["distance"]) and camera["distance"] > 1, "camera: its distance")
-    _require(_is_real(camera["focal_px"]) and camera["focal_px"] > 0, "camera: its focal length")
-    RenderSettings.from_dict(recipe["render"])
-    _require(_is_sha256(recipe["object_sha256"]), "object_sha256")
-    _require(_is_whole(recipe["seed"], 0, MAX_SEED), "seed")
-    tolerance_px = recipe["tolerance_px"]
-    _require(tolerance_px is None or (_is_real(tolerance_px) and tolerance_px > 0), "tolerance_px")
-
-
-def _check_source(recipe: dict[str, Any]) -> None:
-    camera, source = recipe["camera"], recipe["source"]
-    _require(all(recipe[name] is None for name in UNKNOWN_WHERE_IMPORTED), "what an import cannot know")
-    _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
-    _require(all(_is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
-    _require(camera["distance"] is None and camera["focal_px"] is None, "camera")
-    texts, counts = ("name", "convention"), ("rotations_listed", "duplicates_removed")
-    _require(type(source) is dict and set(source) == {*texts, *counts, "sha256", "transposed"}, "source")
-    _require(all(_is_short_text(source[name]) for name in texts), "source")
-    _require(all(_is_whole(source[name], 0, 2**31) for name in counts), "source")
-    _require(_is_sha256(source["sha256"]) and type(source["transposed"]) is bool, "source")
-
-
-def _is_finished_or_not(shard: ShardEntry, camera: dict[str, Any]) -> bool:
+def _is_finished_or_not(shard: ShardEntry, image_size: tuple[int, int]) -> bool:
     found = (shard.bytes, shard.sha256, shard.content_sha256)
     if found == (None, None, None):
         return True
-    pixels = shard.images * camera["width"] * camera["height"]
+    pixels = shard.images * image_size[0] * image_size[1]
     most = _BESIDES_PIXELS_BYTES + 5 * pixels  # RGB and segmentation, which compressing hardly lengthens
-    return _is_whole(shard.bytes, 1, most) and _is_sha256(shard.sha256) and _is_sha256(shard.content_sha256)
+    return is_whole(shard.bytes, 1, most) and is_sha256(shard.sha256) and is_sha256(shard.content_sha256)
 
 
 def _require(is_right: bool, what: str) -> None:  # noqa: FBT001
@@ -314,24 +290,8 @@ def _require(is_right: bool, what: str) -> None:  # noqa: FBT001
         raise ValueError(what)
 
 
-def _is_whole(value: Any, least: int, most: int) -> bool:
-    return type(value) is int and least <= value <= most
-
-
-def _is_real(value: Any) -> bool:
-    return type(value) is float and math.isfinite(value)
-
-
-def _is_sha256(value: Any) -> bool:
-    return isinstance(value, str) and _SHA256.fullmatch(value) is not None
-
-
-def _is_short_text(value: Any) -> bool:
-    return isinstance(value, str) and value.isprintable() and len(value) <= _SOURCE_NAME_CHARACTERS
-
-
 def shards_in(folder: Path) -> list[str]:
-    """Return the names of a folder's HDF5 files, whoever made them, but for hidden ones like macOS' ._x.h5."""
+    """Return the names of a folder's HDF5 files, of this set or not, but for hidden ones like macOS' ._x.h5."""
     return sorted(path.name for path in folder.glob("*.h5") if not path.name.startswith("."))
 
 

@@ -1,21 +1,18 @@
-"""Whether a shard is the one that a set's manifest lists, and a shard opened once that is so."""
+"""Whether a shard is the one that a set's manifest lists; opening a shard after that check."""
 
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
-
-import numpy.typing as npt
 
 from symsol_annot.errors import DataError, bulleted
 from symsol_annot.sets.manifest import Manifest, ShardEntry
-from symsol_annot.sets.shard.laws import label_faults, labels_of
-from symsol_annot.sets.shard.reader import Shard, header_mismatches, opened_shard
+from symsol_annot.sets.shard.laws import label_faults
+from symsol_annot.sets.shard.reader import Shard, ShardLabels, header_mismatches, opened_shard
 
 
 def checked_shard(
     folder: Path, manifest: Manifest, entry: ShardEntry, *, check: bool = True
-) -> tuple[Shard, dict[str, npt.NDArray[Any]]]:
+) -> tuple[Shard, ShardLabels]:
     """Open a shard of a set and read its labels, after checking that it is the manifest's and obeys all laws.
 
     Args:
@@ -25,7 +22,7 @@ def checked_shard(
         check: whether its size and SHA-256 are compared with the manifest's, too.
 
     Returns:
-        The shard, and its labels as `labels_of` gives them.
+        The shard, and its labels.
 
     Raises:
         DataError: it is missing, damaged, another set's, or breaks a law; the message lists every fault.
@@ -34,7 +31,7 @@ def checked_shard(
     shard = opened_shard(path, entry.sha256, entry.bytes) if check else opened_shard(path)
     with contextlib.ExitStack() as at_an_error:
         at_an_error.callback(shard.file.close)
-        labels = labels_of(shard)
+        labels = shard.labels()
         faults = [*membership_faults(shard, manifest, entry)]
         if faults:
             raise DataError(f"{path}: is no shard of this set:\n" + bulleted(faults))
@@ -46,7 +43,7 @@ def checked_shard(
 
 
 def membership_faults(shard: Shard, manifest: Manifest, entry: ShardEntry) -> Iterator[str]:
-    """Yield why a shard is not the one that a manifest lists."""
+    """Yield why a shard is not the one that a manifest lists, one line each."""
     yield from header_mismatches(shard, manifest.expected_attributes(entry))
     if len(shard) != entry.images:
         yield f"expected {entry.images} images, found {len(shard)}"

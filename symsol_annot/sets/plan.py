@@ -8,9 +8,11 @@ import numpy as np
 
 from symsol_annot.errors import SettingsError
 from symsol_annot.objects.spec import ObjectSpec
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations, uniform_rotations
-from symsol_annot.sets.manifest import ANNOTATE_CHOICES, MAX_SEED, Manifest, ShardEntry
+from symsol_annot.sets.manifest import Manifest, ShardEntry
+from symsol_annot.sets.settings import ANNOTATE_CHOICES, MAX_SEED, RenderedSettings
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, shard_file_name
 from symsol_annot.system.text.names import SPLITS
 
@@ -51,25 +53,33 @@ class SetPlan:
             raise SettingsError(f"seed: expected 0 to {MAX_SEED}, found {self.seed}")
 
     @classmethod
-    def of(cls, manifest: Manifest, spec: ObjectSpec) -> "SetPlan":
-        """Return the plan that a set was made by; whether its object is that set's is for `generate` to find."""
-        recipe = manifest.recipe
+    def behind(cls, manifest: Manifest, spec: ObjectSpec) -> "SetPlan":
+        """Return the plan that a set was made by; whether its object is that set's is for `generate` to find.
+
+        Raises:
+            DataError: the set was imported.
+        """
+        made = manifest.rendered
         images = {split: manifest.images(split) for split in SPLITS}
-        camera, settings = Camera(**recipe["camera"]), RenderSettings.from_dict(recipe["render"])
-        return cls(spec, images, recipe["seed"], camera, settings, recipe["annotate"])
+        return cls(spec, images, made.seed, made.camera, made.render, made.annotate)
+
+    @property
+    def set_settings(self) -> RenderedSettings:
+        """The settings of the set, of which its manifest and its shards' attributes derive."""
+        return RenderedSettings(
+            object=self.spec.name,
+            object_sha256=self.spec.digest,
+            seed=self.seed,
+            camera=self.camera,
+            render=self.settings,
+            tolerance_px=self.spec.tolerance_px,
+            annotate=self.annotate,
+        )
 
     def manifest(self) -> Manifest:
         """Return the manifest of the set before its first shard is written."""
-        recipe = {
-            "object": self.spec.name,
-            "object_sha256": self.spec.digest,
-            "seed": self.seed,
-            "camera": self.camera.to_dict(),
-            "render": self.settings.to_dict(),
-            "tolerance_px": self.spec.tolerance_px,
-            "annotate": self.annotate,
-        }
-        return Manifest(recipe, division_into_shards(self.images, self.camera.width * self.camera.height))
+        shards = division_into_shards(self.images, self.camera.width * self.camera.height)
+        return Manifest(self.set_settings, shards)
 
 
 def division_into_shards(images: dict[str, int], pixels_per_image: int) -> tuple[ShardEntry, ...]:

@@ -43,21 +43,18 @@ def split_statistics(folder: Path, manifest: Manifest, split: str) -> SplitStati
     Raises:
         DataError: a shard is missing or broken.
     """
-    has_marking = manifest.recipe["tolerance_px"] is not None
-    statistics = SplitStatistics(has_marking, manifest.is_annotated(split), manifest.is_imported)
+    statistics = SplitStatistics(manifest.settings.has_marking, manifest.is_annotated(split), manifest.is_imported)
     for entry in manifest.of_split(split):
         if not entry.is_finished:
             continue
         shard, labels = checked_shard(folder, manifest, entry)
         statistics.images += len(shard)
-        if shard.is_annotated:
-            statistics.set_sizes.update(labels["symmetry_mask"].sum(axis=1).tolist())
-        if statistics.is_imported:
-            continue
-        shown = labels["marking_pixels"] >= float(shard.attributes["tolerance_px"])
-        statistics.shown += int(np.count_nonzero(shown))
-        statistics.candidates_drawn += int(shard.attributes["candidates_drawn"])
-        statistics.candidates_within_tolerance += int(shard.attributes["candidates_within_tolerance"])
+        if labels.symmetry_mask is not None:
+            statistics.set_sizes.update(labels.symmetry_mask.sum(axis=1).tolist())
+        if labels.marking_pixels is not None:
+            statistics.shown += int(np.count_nonzero(labels.marking_pixels >= shard.tolerance_px))
+        statistics.candidates_drawn += shard.candidates_drawn
+        statistics.candidates_within_tolerance += shard.candidates_within_tolerance
     return statistics
 
 

@@ -1,4 +1,4 @@
-"""Checking a set on disk: that it is whole, and that what it says holds together. It reads and never writes."""
+"""Checking a set on disk: that it is whole and consistent. Nothing is written."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DataError, first_of
-from symsol_annot.rendering.scene import MARKING
+from symsol_annot.rendering.renderer import MARKING
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.manifest import Manifest, ShardEntry, read_manifest, shards_in
 from symsol_annot.sets.membership import membership_faults
-from symsol_annot.sets.shard.laws import label_faults, labels_of
-from symsol_annot.sets.shard.reader import GROUP, Shard, content_sha256, open_shard
+from symsol_annot.sets.shard.laws import label_faults
+from symsol_annot.sets.shard.reader import Shard, content_sha256, open_shard
 from symsol_annot.system.reading import file_sha256
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
@@ -70,30 +70,26 @@ def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, first: "_
     faults: list[str] = []
     try:
         with open_shard(path) as shard:
-            for found in (
-                membership_faults(shard, manifest, entry),
-                _content_faults(shard, entry),
-                first.faults_of(shard),
-            ):
-                faults += found
+            faults += membership_faults(shard, manifest, entry)
+            labels = shard.labels()
+            faults += label_faults(shard, labels)
+            faults += _content_faults(shard, entry)
+            faults += first.faults_of(labels.symmetry_group, shard.versions_text)
     except DataError as error:
         faults.append(str(error))
     return faults
 
 
 def _content_faults(shard: Shard, entry: ShardEntry) -> Iterator[str]:
-    """Yield what no image set can hold, whatever its checksums say."""
-    yield from label_faults(shard, labels_of(shard))
-    if not shard.is_imported:
-        yield from _segmentation_faults(shard)
+    """Yield what the pixels of no image set can be, and whether the arrays are those that the manifest lists."""
+    yield from _segmentation_faults(shard)
     if content_sha256(shard) != entry.content_sha256:
         yield f"its arrays do not have the digest content_sha256 {entry.content_sha256}"
 
 
 def _segmentation_faults(shard: Shard) -> Iterator[str]:
-    most = [int(ids.max()) for ids in shard.rows("segmentation")]
-    first = int(shard.attributes["first_index"])
-    stray = [str(first + row) for row, highest in enumerate(most) if highest > MARKING or highest == 0]
+    most = [int(ids.max()) for ids in shard.segmentations()]
+    stray = [str(shard.first_index + row) for row, highest in enumerate(most) if highest > MARKING or highest == 0]
     if stray:
         yield f"segmentation: image {first_of(stray, _LISTED_ROWS)}: holds an id outside 0, 1, 2, or no object"
 
@@ -105,8 +101,7 @@ class _FirstShard:
         self._group: Rotations | None = None
         self._versions = ""
 
-    def faults_of(self, shard: Shard) -> Iterator[str]:
-        group, versions = shard.read(GROUP), str(shard.attributes["versions"])
+    def faults_of(self, group: Rotations, versions: str) -> Iterator[str]:
         if self._group is None:
             self._group, self._versions = group, versions
         if not np.array_equal(self._group, group):

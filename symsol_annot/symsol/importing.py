@@ -12,7 +12,6 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -22,23 +21,23 @@ from symsol_annot.errors import DataError, DifferentSetError, SettingsError, out
 from symsol_annot.rotations.so3 import Rotations, rotation_deviation
 from symsol_annot.sets.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, write_manifest
 from symsol_annot.sets.plan import division_into_shards
+from symsol_annot.sets.settings import ImportedSettings, Source
 from symsol_annot.sets.shard.writer import ShardFile, ShardWriter, storage_versions
 from symsol_annot.symsol.listed_groups import SAME_RAD, ListedGroup, listed_group, nearest_rotations
 from symsol_annot.symsol.zip_reader import SymsolZip
 from symsol_annot.system.files import check_inside, new_folder, write_atomically
 from symsol_annot.system.locks import held_folder
+from symsol_annot.system.progress import OnImages, ignore_images
 from symsol_annot.system.reading import file_sha256
 from symsol_annot.system.text.names import SPLITS
 
 MAX_OFF_SO3 = 1e-4
 _IMAGES_FOR_GROUP = 64
 
-OnImages: TypeAlias = Callable[[int], object]
-
 
 @dataclass(frozen=True)
 class ImportedSet:
-    """What became of one object.
+    """An object's set after its import.
 
     Attributes:
         folder: of its set.
@@ -64,7 +63,7 @@ def import_symsol(
     *,
     workers: int = 1,
     on_begin: Callable[[Manifest], object] = lambda _: None,
-    on_images: OnImages = lambda _: None,
+    on_images: OnImages = ignore_images,
 ) -> Iterator[ImportedSet]:
     """Import objects of the original SYMSOL one after the other; each appears in the folder once it is whole.
 
@@ -94,7 +93,7 @@ def import_symsol(
         for name in wanted:
             importer = _Importer(source, name, sha256)
             folder, manifest = out / name, importer.manifest
-            members = len(importer.listed.group) if manifest.recipe["annotate"] != "none" else None
+            members = len(importer.listed.group) if manifest.settings.annotate != "none" else None
             there = _manifest_there(folder, manifest)
             if there and _is_whole(folder, there):
                 yield ImportedSet(folder, there, members, was_there=True)
@@ -117,25 +116,22 @@ class _Importer:
         self.listed = _listed_group_of(source, name)
         annotate = _annotate(source, name)
         height, width, _ = source.image(name, SPLITS[0], 0).shape
-        recipe = {
-            "object": name,
-            "object_sha256": None,
-            "seed": None,
-            "camera": {"distance": None, "focal_px": None, "width": width, "height": height},
-            "render": None,
-            "tolerance_px": None,
-            "annotate": annotate,
-            "source": {
-                "name": "SYMSOL",
-                "sha256": sha256,
-                "convention": "unknown",
-                "transposed": self.listed.is_transposed,
-                "rotations_listed": len(self.listed.element),
-                "duplicates_removed": self.listed.duplicates,
-            },
-        }
+        settings = ImportedSettings(
+            object=name,
+            width=width,
+            height=height,
+            annotate=annotate,
+            source=Source(
+                name="SYMSOL",
+                sha256=sha256,
+                convention="unknown",
+                transposed=self.listed.is_transposed,
+                rotations_listed=len(self.listed.element),
+                duplicates_removed=self.listed.duplicates,
+            ),
+        )
         images = {split: source.header(name, split).images for split in SPLITS}
-        self.manifest = Manifest(recipe, division_into_shards(images, width * height))
+        self.manifest = Manifest(settings, division_into_shards(images, width * height))
 
     def write(self, folder: Path, workers: int, on_images: OnImages) -> Manifest:
         """Write all shards and the manifest, and return it."""
@@ -198,9 +194,9 @@ class _Importer:
             return writer.finish({})
 
     def _image(self, entry: ShardEntry, row: int) -> npt.NDArray[np.uint8]:
-        index, camera = entry.first_index + row, self.manifest.recipe["camera"]
+        index, (width, height) = entry.first_index + row, self.manifest.settings.image_size
         image = self._source.image(self._name, entry.split, index)
-        expected = (camera["height"], camera["width"], 3)
+        expected = (height, width, 3)
         if image.shape != expected:
             name = f"{entry.split}/images/{self._name}_{index:05d}.png"
             raise DataError(f"{self._source.path}: {name}: is of shape {image.shape}, the object's first of {expected}")

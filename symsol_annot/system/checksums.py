@@ -1,7 +1,7 @@
 """A list of a folder's files with their SHA-256, as `sha256sum -c` reads it: what in a folder is this program's own.
 
-The first line says who made the list. A file that is not in it, or has other bytes now, is somebody else's, and must
-not be removed or replaced.
+The first line says who made the list. A file that is not in it, or has other bytes now, is not this program's, and
+must not be removed or replaced.
 """
 
 import re
@@ -50,7 +50,7 @@ def is_hidden(name: str) -> bool:
 
 
 def is_system_note(name: str) -> bool:
-    """Tell whether a file is what macOS or Windows leave in folders that somebody looks at."""
+    """Tell whether a file is what macOS or Windows leave in folders that a user opens."""
     last = PurePosixPath(name).name
     return last in _SYSTEM_NOTES or last.startswith("._")
 

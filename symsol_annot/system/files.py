@@ -1,4 +1,4 @@
-"""Writing files and folders so that a reader never sees half of one, and nothing of anybody else's is lost.
+"""Writing files and folders so that a reader never sees half of one, and no file of another program is lost.
 
 What is being written lies in a scratch folder beside its place until it is whole, and is renamed then.
 """
@@ -26,7 +26,7 @@ def replaced(path: Path) -> Iterator[Path]:
     A link stays a link: the file that it leads to is replaced. A file that is there keeps its mode. What is there and
     no regular file, like a pipe or /dev/stdout, stays what it is: the bytes are written to it at the end.
 
-    Whoever writes sees to it that the bytes reached the disk (`os.fsync`).
+    The caller sees to it that the bytes reach the disk (`os.fsync`).
 
     Raises:
         OutputError: the disk is full or the folder not writable.
@@ -53,7 +53,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     """Give an empty folder in a scratch folder, which gets its name once it is whole; at an error or Ctrl-C it goes.
 
     Args:
-        path: where nothing is, or an empty folder; nobody else writes it meanwhile.
+        path: where nothing is, or an empty folder; no other process writes it meanwhile.
 
     Raises:
         OutputError: the disk is full or the folder around it not writable, or something was put there meanwhile.
@@ -73,7 +73,7 @@ def new_folder(path: Path) -> Iterator[Path]:
 def replaced_folder(path: Path) -> Iterator[Path]:
     """Give an empty folder, for which a folder that is there is removed once it is whole.
 
-    Whoever calls has proved that all that is in the folder was made by this program. A run that is killed while the
+    The caller has proved that all that is in the folder was made by this program. A run that is killed while the
     folder has no name leaves it waiting in the scratch folder, and the next run's sweep gives it its name back.
     """
     with output_errors(path):
@@ -156,7 +156,7 @@ def _is_written_through(path: Path) -> bool:
         return False
     if stat.S_ISDIR(mode):
         return False
-    given = Path(os.path.abspath(path))  # noqa: PTH100 - /dev/stdout leads to a file, which is somebody's output
+    given = Path(os.path.abspath(path))  # noqa: PTH100 - /dev/stdout leads to a file, which must stay
     return not stat.S_ISREG(mode) or any(folder in given.parents for folder in _SYSTEM_FOLDERS)
 
 

@@ -32,7 +32,7 @@ def locked(folder: Path) -> Iterator[None]:
 
     Raises:
         OutputError: another process holds it, or it cannot be opened.
-        FileNotFoundError: it was removed, by whoever held it before.
+        FileNotFoundError: it was removed by the process that held it before.
     """
     if sys.platform == "win32":  # has no such lock
         _warn_of_no_locks(folder)
@@ -56,7 +56,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def try_lock(descriptor: int) -> Held:
-    """Lock an open file or folder until it is closed, where nobody else holds it."""
+    """Lock an open file or folder until it is closed, where no other process holds it."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -1,8 +1,8 @@
 """Folders for temporary files: the only ones that this program removes without having just made them.
 
 Each holds a mark that names the folder itself by device and inode, so that neither a folder of a like name nor a copy
-of a marked one is taken for ours; and its owner holds a lock on it for as long as he lives. What a killed owner left is
-removed by `sweep`, which takes a folder only where mark, user and lock all say that it may.
+of a marked one is taken for ours; and the process that owns it holds a lock on it for as long as it lives. What a
+killed owner left is removed by `sweep`, which takes a folder only where mark, user and lock all say that it may.
 """
 
 import contextlib
@@ -52,11 +52,11 @@ class Scratch(Closing):
         try:
             if sys.platform != "win32":  # which locks no folders
                 self._descriptor = os.open(self.path, _OPEN_FOLDER)
-                try_lock(self._descriptor)  # before the mark: a folder without one is nobody's to sweep
+                try_lock(self._descriptor)  # before the mark: a folder without one is never swept
             _write_mark(self.path)
         except OSError:
             self._let_go()
-            with contextlib.suppress(OSError):  # made a moment ago, and by nobody else
+            with contextlib.suppress(OSError):  # made a moment ago, by this process
                 (self.path / MARK_NAME).unlink(missing_ok=True)
                 self.path.rmdir()  # which needs no descriptor, of which there may be none left
             raise
@@ -140,7 +140,7 @@ def _remove_if_abandoned(folder: Path) -> None:
     with contextlib.suppress(OSError):
         descriptor = os.open(folder, _OPEN_FOLDER)
         try:
-            if try_lock(descriptor) is Held.HERE:  # where there are no locks, nobody can tell whether its owner lives
+            if try_lock(descriptor) is Held.HERE:  # without locks it is not known whether its owner lives
                 remove_marked(folder)
         finally:
             os.close(descriptor)

@@ -1,9 +1,9 @@
-"""Samples counted by a polygon's outline are those that a test of every sample finds."""
+"""Lattice points counted by a polygon's outline are those that a test of every point finds."""
 
 import numpy as np
 import pytest
 
-from symsol_annot.annotation.scanline import Segments, count_inside, is_inside, samples_near
+from symsol_annot.annotation.scanline import Segments, count_inside, is_inside, points_near
 
 SIDE = 24
 
@@ -21,7 +21,7 @@ def outlines_of(polygons):
 
 
 def turns_around(corners):
-    """Return how often a polygon winds around each sample, from the angles that its corners are seen at."""
+    """Return how often a polygon winds around each lattice point, from the angles that its corners are seen at."""
     u, v = np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5)
     seen = [np.arctan2(y - v, x - u) for x, y in corners]
     steps = [(b - a + np.pi) % (2 * np.pi) - np.pi for a, b in zip(seen, np.roll(seen, -1, axis=0), strict=True)]
@@ -35,26 +35,26 @@ def distance_along_axes(point, start, end):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_outlines_count_the_samples_that_they_wind_around(seed):
+def test_outlines_count_the_points_that_they_wind_around(seed):
     rng = np.random.default_rng(seed)
     polygons = [polygon(rng) for _ in range(5)]
     outlines = outlines_of(polygons)
     around = [turns_around(corners) for corners in polygons]
     assert count_inside(outlines, 5).tolist() == [turns.sum() for turns in around]
-    near = samples_near(outlines, 1.5)
+    near = points_near(outlines, 1.5)
     assert is_inside(near, outlines).tolist() == [
         around[o][r, c] > 0 for o, r, c in zip(near.owner, near.row, near.column, strict=True)
     ]
 
 
 @pytest.mark.parametrize("reach", [0.05, 0.4, 1.3])
-def test_samples_near_a_segment_are_those_within_reach_along_both_axes(reach):
+def test_points_near_a_segment_are_those_within_reach_along_both_axes(reach):
     rng = np.random.default_rng(7)
     ends = rng.uniform(3, SIDE - 3, (40, 2, 2))
     ends[:4, 1, 1] = ends[:4, 0, 1]  # along a row
     ends[4:8, 1, 0] = ends[4:8, 0, 0]  # along a column
     ends[8] = ends[8, 0]  # a point
-    near = samples_near(Segments(np.arange(40), ends[:, 0], ends[:, 1]), reach)
+    near = points_near(Segments(np.arange(40), ends[:, 0], ends[:, 1]), reach)
     found = set(zip(near.owner.tolist(), near.row.tolist(), near.column.tolist(), strict=True))
     assert len(found) == len(near.owner)
     for k, (start, end) in enumerate(ends):

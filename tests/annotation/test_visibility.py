@@ -9,13 +9,13 @@ from made_sets import make_plan, make_set, pixels_of, threads
 from numpy_renderer import NumpyRenderer
 from oracle import cast_samples
 
-from symsol_annot.annotation.annotate import annotate
-from symsol_annot.annotation.visibility import MarkingVisibility, is_convex
+from symsol_annot.annotation.annotator import Annotator
+from symsol_annot.annotation.visibility import MarkingVisibility, is_convex, visibility_of
 from symsol_annot.generation.generate import generate
-from symsol_annot.generation.maker import visibility_of
 from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 
 SIZE = 48
@@ -141,10 +141,12 @@ def test_sets_annotated_by_geometry_and_by_drawing_every_candidate_have_the_same
 
 def test_a_body_that_is_not_convex_is_annotated_by_drawing(monkeypatch):
     plan = make_plan("tetX")
-    assert visibility_of(plan) is not None
-    monkeypatch.setattr("symsol_annot.generation.maker.is_convex", lambda mesh: False)
-    assert visibility_of(plan) is None
-    assert visibility_of(make_plan("tet")) is None
+    of_plan = partial(visibility_of, plan.spec, plan.camera, plan.settings)
+    assert of_plan() is not None
+    monkeypatch.setattr("symsol_annot.annotation.visibility.is_convex", lambda mesh: False)
+    assert of_plan() is None
+    monkeypatch.undo()
+    assert visibility_of(load_object("tet"), plan.camera, plan.settings) is None
 
 
 @pytest.mark.blender
@@ -154,7 +156,7 @@ def test_what_blender_counts_lies_between_the_bounds_near_grazing(name, engine):
     spec, camera, settings = load_object(name), Camera.filling(224), RenderSettings(engine)
     rotations = grazing(name, 150 if engine == "workbench" else 30, seed=4, within_deg=3)
     with RenderProcess(spec, camera, settings) as renderer:
-        counts = renderer.marking_pixels(rotations) * settings.samples_per_pixel
+        counts = renderer.marking_pixels(rotations) * settings.points_per_pixel
     lower, upper = MarkingVisibility(spec.mesh, camera, settings).bounds(rotations, 10**9)
     assert ((lower <= counts) & (counts <= upper)).all()
     assert (counts == 0).any()
@@ -167,7 +169,7 @@ def test_the_set_of_a_hidden_view_is_the_exhaustive_one():
     with RenderProcess(spec, camera, settings) as renderer:
         rotations = uniform_rotations(40, np.random.default_rng(5))
         hidden = next(R for R in rotations if pixels_of(spec, R, renderer) == 0)
-        drawn = annotate(spec, hidden, 0.0, renderer)
-        decided = annotate(spec, hidden, 0.0, renderer, MarkingVisibility(spec.mesh, camera, settings))
+        drawn = Annotator(spec, renderer).annotate(hidden, 0.0)
+        decided = Annotator(spec, renderer, MarkingVisibility(spec.mesh, camera, settings)).annotate(hidden, 0.0)
     assert np.array_equal(drawn.mask, decided.mask)
-    assert np.array_equal(drawn.candidate_pixels == 0, decided.candidate_pixels == 0)
+    assert np.array_equal(drawn.candidate_px == 0, decided.candidate_px == 0)

@@ -19,8 +19,7 @@ import h5py
 import numpy as np
 import pytest
 import symsol_annot_cli.reference
-from bench_sets import TESTS, run, small_set
-from symsol_annot_cli.main import main
+from bench_sets import SUPPORT, run, small_set
 
 from symsol_annot.bench.predictions.queries import Queries
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
@@ -36,19 +35,6 @@ IMAGES = {"tetX": 24, "cylO": 4}
 
 def symsol(*arguments, **options):
     return run(*COMMAND, *arguments, **options)
-
-
-@pytest.fixture
-def here(monkeypatch, capfd):
-    """The same entry point in this process, which is sooner: for the many things that are refused."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["symsol-annot", *(str(word) for word in arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return subprocess.CompletedProcess(arguments, ended.value.code, *capfd.readouterr())
-
-    return call
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +70,7 @@ def test_score_prints_tables_and_writes_json_and_csv_and_nothing_else(preds, dat
     )
     assert (done.returncode, done.stderr) == (0, "")  # where there is no terminal there is no bar
     scores = [score_file(preds["tetX"], data)]
-    document = report.to_document(scores, [preds["tetX"]])
+    document = report.to_document(scores)
     assert done.stdout == report.tables(document) + "\n"
     assert (tmp_path / "scores.json").read_text() == report.to_json(document)
     assert (tmp_path / "images.csv").read_text() == report.per_image_csv(scores)
@@ -145,7 +131,7 @@ def test_predictions_written_from_the_query_file_alone_score_as_those_of_the_wri
     assert (done.returncode, done.stderr) == (0, "")
     mine = json.loads((tmp_path / "s.json").read_text())["objects"]["tetX"]["classifier"]
     theirs = score_file(preds["tetX"], data)
-    assert mine == report.to_document([theirs], [preds["tetX"]])["objects"]["tetX"]["classifier"]
+    assert mine == report.to_document([theirs])["objects"]["tetX"]["classifier"]
 
 
 def test_queries_writes_what_the_library_asks(sets, here, tmp_path):
@@ -396,7 +382,7 @@ def guarded(tmp_path):
     trap.mkdir()
     for name in FORBIDDEN:
         (trap / f"{name}.py").write_text(f"raise SystemExit('{name} was imported')")
-    path = os.pathsep.join(filter(None, [str(trap), str(TESTS), os.environ.get("PYTHONPATH")]))
+    path = os.pathsep.join(filter(None, [str(trap), str(SUPPORT), os.environ.get("PYTHONPATH")]))
 
     def call(code, *arguments):
         return run(sys.executable, "-c", code, *arguments, env={"PYTHONPATH": path})

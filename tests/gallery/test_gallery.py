@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -43,7 +44,7 @@ from symsol_annot.objects.spec import load_object
 from symsol_annot.rotations.grid import equivolumetric_grid
 from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.symsol.importing import import_symsol
-from symsol_annot.system import extras
+from symsol_annot.system import machine
 from symsol_annot.system.locks import locked
 
 COLOURS = {(0, 0, 0): 0, (140, 30, 30): 1, (240, 128, 128): 2}  # of a segmentation, by hand
@@ -327,7 +328,8 @@ def test_a_set_of_an_unknown_or_changed_object_is_shown_without_drawing(data, tm
         ({"object_sha256": "0" * 64}, "another tetX"),
     ):
         source = open_sources(data / "tetX")[0]
-        source.dataset.manifest.recipe.update(change)
+        manifest = source.dataset.manifest
+        source.dataset.manifest = replace(manifest, settings=replace(manifest.settings, **change))
         redrawer = numpy_redrawer(source, [])
         assert reason in redrawer.missing
         assert redrawer.images == ()
@@ -570,7 +572,7 @@ def test_a_split_without_sets_is_refused(tetX_set):
 
 
 def test_without_plotly_the_message_names_the_extra(monkeypatch, data, tmp_path):
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    monkeypatch.setattr(machine, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=re.escape("pip install 'symsol-annot[gallery]'")):
         write_gallery(tmp_path / "out", open_sources(data))
     assert not (tmp_path / "out").exists()

@@ -4,16 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made_sets import SIZE, make_set
+from made_sets import SIZE, make_plan, make_set
 from numpy_renderer import NumpyRenderer
 
 from symsol_annot import Sample, load
-from symsol_annot.annotation.annotate import annotate
+from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.errors import NotAnnotatedError
 from symsol_annot.generation.audit import audit
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
 from symsol_annot.rotations.so3 import uniform_rotations
 
 
@@ -34,7 +33,7 @@ class ChangedDataset:
 
 
 def audit_of(dataset, count=12):
-    return audit(dataset, load_object("tetX"), NumpyRenderer("tetX", SIZE), count, np.random.default_rng(0))
+    return audit(dataset, make_plan("tetX"), NumpyRenderer("tetX", SIZE), count, np.random.default_rng(0))
 
 
 def with_mask(sample, change):
@@ -80,6 +79,31 @@ def test_a_picture_of_something_else_is_found(tetX_set):
     assert any("pixels of the RGB differ" in fault for fault in audit_of(changed).faults)
 
 
+def test_a_trace_of_the_marking_in_a_picture_that_hides_it_is_found_in_the_sets_own_colours(tetX_set):
+    """The set's marking is said to be blue: a pixel that is bluer than the rest of its body is a trace of it."""
+    plan = make_plan("tetX")
+    blue = dataclasses.replace(plan.settings, body_colour=(0.9, 0.8, 0.2), marking_colour=(0.05, 0.1, 0.9))
+    plan = dataclasses.replace(plan, settings=blue)
+
+    class Recoloured(NumpyRenderer):
+        def render(self, R_m2c):
+            view = super().render(R_m2c)
+            colours = np.array([[255, 255, 255], [240, 220, 100], [30, 60, 240]], dtype=np.uint8)
+            rgb = colours[view.segmentation].copy()
+            if self.leaks and view.marking_pixels == 0:
+                rgb[SIZE // 2, SIZE // 2] = (165, 160, 180)
+            return dataclasses.replace(view, rgb=rgb)
+
+    def faults(*, leaks):
+        renderer = Recoloured("tetX", SIZE)
+        renderer.leaks = leaks
+        own = ChangedDataset(load(tetX_set), lambda s: dataclasses.replace(s, image=renderer.render(s.rotation).rgb))
+        return audit(own, plan, renderer, 12, np.random.default_rng(0)).faults
+
+    assert faults(leaks=False) == []
+    assert any("carries a trace of the marking's colour" in fault for fault in faults(leaks=True))
+
+
 def test_a_split_without_sets_is_refused(tetX_set):
     with pytest.raises(NotAnnotatedError, match="no symmetry sets to audit"):
         audit_of(load(tetX_set, "train"))
@@ -87,7 +111,7 @@ def test_a_split_without_sets_is_refused(tetX_set):
 
 def test_an_unmarked_body_is_audited_by_its_looks(tmp_path):
     dataset = load(make_set(tmp_path, "tet", test=4))
-    report = audit(dataset, load_object("tet"), NumpyRenderer("tet", SIZE), 4, np.random.default_rng(0))
+    report = audit(dataset, make_plan("tet"), NumpyRenderer("tet", SIZE), 4, np.random.default_rng(0))
     assert (report.faults, report.rejected) == ([], 0)
     assert report.members == 4 * 12
 
@@ -95,16 +119,17 @@ def test_an_unmarked_body_is_audited_by_its_looks(tmp_path):
 @pytest.mark.blender
 def test_an_arc_that_ends_too_early_is_found():
     """Members a degree or more from a hidden disc's arc end are no near neighbours but missing."""
-    spec = load_object("cylO")
-    with RenderProcess(spec, Camera.filling(64), RenderSettings()) as renderer:
+    plan = make_plan("cylO", size=64)
+    spec = plan.spec
+    with RenderProcess(spec, plan.camera, plan.settings) as renderer:
         R = next(R for R in uniform_rotations(9, np.random.default_rng(1)) if renderer.marking_pixels(R[None])[0] == 0)
-        mask, view = annotate(spec, R, 0.0, renderer).mask, renderer.render(R)
+        mask, view = Annotator(spec, renderer).annotate(R, 0.0).mask, renderer.render(R)
         eroded = mask & np.roll(mask, 8) & np.roll(mask, -8)
         eroded[0] = True
         samples = [
             Sample(0, view.rgb, view.segmentation, R, 0.0, False, m, spec.symmetry_group) for m in (mask, eroded)
         ]
-        reports = [audit(ListedDataset([s]), spec, renderer, 1, np.random.default_rng(0)) for s in samples]
+        reports = [audit(ListedDataset([s]), plan, renderer, 1, np.random.default_rng(0)) for s in samples]
     assert reports[0].faults == []
     assert any("rejected, but draws the same marking" in fault for fault in reports[1].faults)
 
@@ -112,9 +137,10 @@ def test_an_arc_that_ends_too_early_is_found():
 @pytest.mark.blender
 def test_near_neighbours_of_a_barely_shown_disc_are_counted_not_failed():
     """Where a pixel or two of the disc show, a candidate a degree away may draw the same ones: no fault."""
-    spec = load_object("cylO")
+    plan = make_plan("cylO", size=64)
+    spec = plan.spec
     only_R_gt = np.arange(720) == 0
-    with RenderProcess(spec, Camera.filling(64), RenderSettings()) as renderer:
+    with RenderProcess(spec, plan.camera, plan.settings) as renderer:
         R = uniform_rotations(300, np.random.default_rng(1))
         pixels = renderer.marking_pixels(R)
         barely = [i for i in np.argsort(pixels) if pixels[i] > 0][:4]
@@ -123,7 +149,7 @@ def test_near_neighbours_of_a_barely_shown_disc_are_counted_not_failed():
             Sample(n, view.rgb, view.segmentation, R[i], pixels[i], True, only_R_gt, spec.symmetry_group)
             for n, (i, view) in enumerate(zip(barely, views, strict=True))
         ]
-        report = audit(ListedDataset(samples), spec, renderer, 4, np.random.default_rng(0))
+        report = audit(ListedDataset(samples), plan, renderer, 4, np.random.default_rng(0))
     assert report.faults == []
     assert report.near_neighbours > 0
 

@@ -173,7 +173,9 @@ def test_no_frame_of_a_damaged_blender_gets_into_a_set_and_the_command_says_so(t
 
 def blenders_of(pid):
     """The worker processes that a command has now; a process that reads HDF5 for it is none."""
-    return [child for child, parent in parents().items() if parent == pid and "shard_process" in command_line(child)]
+    return [
+        child for child, parent in parents().items() if parent == pid and "generation.process" in command_line(child)
+    ]
 
 
 def parents():

@@ -59,7 +59,7 @@ def cluster(tmp_path_factory):
 def blenders_of(pid):
     """The Blender processes that a process has started."""
     found = subprocess.run(
-        ["pgrep", "-P", str(pid), "-f", "shard_process"], capture_output=True, text=True, check=False
+        ["pgrep", "-P", str(pid), "-f", "generation.process"], capture_output=True, text=True, check=False
     )
     return [int(line) for line in found.stdout.split()]
 

@@ -24,7 +24,7 @@ from symsol_annot.rendering.render_process import RenderProcess
 PLAN = make_plan("tetX", test=40, size=48)
 ENTRY = PLAN.manifest().shards[0]
 MIB = 2**20
-SILENCE_S = 6.0  # longer than a Blender takes to start on a busy machine
+SILENCE_S = 15.0  # a start on a busy machine takes seconds
 
 PARENT = """
 from made_sets import make_plan

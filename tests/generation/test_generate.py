@@ -26,9 +26,11 @@ from made_sets import make_plan, make_set, on_images, threads
 from numpy_renderer import NumpyRenderer
 from scipy.stats import kstest
 
-from symsol_annot.errors import DataError, DifferentSetError, OutputError, RenderError, SettingsError
+from symsol_annot.errors import DataError, DifferentSetError, ObjectError, OutputError, RenderError, SettingsError
 from symsol_annot.generation.generate import generate
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.rotations.groups import octahedral_group
 from symsol_annot.sets.dataset import load
 from symsol_annot.sets.manifest import read_manifest, write_manifest
 from symsol_annot.sets.plan import label_rotation
@@ -492,6 +494,17 @@ def test_damaged_finished_shards_are_refused_by_name_and_not_touched(half, damag
 def test_settings_that_make_no_set_are_refused(change, words):
     with pytest.raises(SettingsError, match=words):
         replace(small_plan(), **change)
+
+
+def test_an_object_without_the_symmetries_that_it_declares_is_refused_before_anything_is_touched(tmp_path):
+    plan, opened = small_plan(), Opener()
+    wrong = replace(plan, spec=replace(plan.spec, symmetry_group=octahedral_group()))
+    with pytest.raises(ObjectError, match=r"the surface of 'tet' is not invariant under body\.group"):
+        generate(wrong, tmp_path / "tet", threads(opened))
+    assert not (tmp_path / "tet").exists()
+    generate(plan, tmp_path / "tet", threads(opened))
+    with pytest.raises(ObjectError, match="is not invariant"):
+        generate(wrong, tmp_path / "tet", threads(opened))
 
 
 @pytest.mark.parametrize(("annotate", "annotated"), [("test", {"test"}), ("all", {"train", "test"}), ("none", set())])

@@ -21,7 +21,7 @@ open_renderer = partial(NumpyRenderer, "tetX", SIZE)
 
 @pytest.fixture
 def plan(tetX_set):
-    return SetPlan.of(read_manifest(tetX_set), load_object("tetX"))
+    return SetPlan.behind(read_manifest(tetX_set), load_object("tetX"))
 
 
 def contents(folder):
@@ -83,7 +83,7 @@ def test_a_repair_that_gives_other_bytes_is_refused_and_nothing_is_written(tetX_
 
 def test_a_set_is_not_repaired_with_another_object(tetX_set):
     flip_a_bit(tetX_set / "test-00001-of-00003.h5")
-    plan = SetPlan.of(read_manifest(tetX_set), load_object("cylO"))
+    plan = SetPlan.behind(read_manifest(tetX_set), load_object("cylO"))
     with pytest.raises(DifferentSetError, match="object"):
         generate(plan, tetX_set, threads(unopened), repair=True)
 

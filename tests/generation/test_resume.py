@@ -16,7 +16,7 @@ from made_sets import SIZE, make_plan, make_set, threads
 from numpy_renderer import NumpyRenderer
 
 from symsol_annot.errors import ClusterError, DataError, OutputError
-from symsol_annot.generation.events import ImagesMade, ShardFinished, Started, StrangersFound, WorkersGone
+from symsol_annot.generation.events import ForeignShardsFound, ImagesMade, ShardFinished, Started, WorkersGone
 from symsol_annot.generation.executors import in_process
 from symsol_annot.generation.generate import generate
 from symsol_annot.sets.manifest import read_manifest, write_manifest
@@ -234,7 +234,7 @@ def test_shards_of_nobody_are_told_of_and_left_alone(unlisted):
     events = []
     (unlisted / "another.h5").write_bytes(b"mine")
     generate(PLAN, unlisted, threads(open_renderer), events.append)
-    assert [event for event in events if isinstance(event, StrangersFound)] == [StrangersFound(("another.h5",))]
+    assert [event for event in events if isinstance(event, ForeignShardsFound)] == [ForeignShardsFound(("another.h5",))]
     assert (unlisted / "another.h5").read_bytes() == b"mine"
 
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from symsol_annot.errors import ObjectError, SymsolError, UnknownObjectError
 from symsol_annot.objects.check import check_object
 from symsol_annot.objects.spec import builtin_names, load_object, read_object
+from symsol_annot.rotations.groups import GROUP_KINDS, GroupKind, cyclic_group
 from symsol_annot.system.text.names import OBJECT_NAME_RULE
 
 BUILTIN = ("cone", "cube", "cyl", "cylO", "icosa", "tet", "tetX")
@@ -668,6 +669,20 @@ def test_a_stabiliser_from_outside_the_bodys_group_is_refused(fault_of, table):
 def test_any_subgroup_of_the_bodys_group_is_read_as_a_stabiliser(write, table, order):
     spec = read_object(write(TOML.replace('kind = "cyclic"\norder = 3\naxis = [1, 1, 1]', table)))
     assert spec.cosets.shape == (12 // order, order)
+
+
+def test_a_kind_added_to_the_table_is_read_with_its_parameters(write, monkeypatch):
+    def turned_group(order, axis):
+        return cyclic_group(order, axis)
+
+    monkeypatch.setitem(GROUP_KINDS, "turned", GroupKind("turned", turned_group, needs=("order", "axis")))
+    toml = UNMARKED_TOML.replace('kind = "tetrahedral"', 'kind = "turned"\norder = 3\naxis = [1, 1, 1]')
+    group = read_object(write(toml, UNMARKED_MESH)).symmetry_group
+    np.testing.assert_array_equal(group, cyclic_group(3, [1, 1, 1]))
+    with pytest.raises(ObjectError, match=r"body\.group\.axis: is missing"):
+        read_object(write(toml.replace("axis = [1, 1, 1]", ""), UNMARKED_MESH))
+    with pytest.raises(ObjectError, match="icosahedral, turned, found 'turner'"):
+        read_object(write(toml.replace("turned", "turner"), UNMARKED_MESH))
 
 
 # --- does the geometry have the declared symmetry? ---

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from bench_sets import TESTS, SmallDisk, run, small_set
+from bench_sets import SmallDisk, run, small_set
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -34,10 +34,11 @@ from symsol_annot.publish.card import _size_category
 from symsol_annot.publish.publication import publish
 from symsol_annot.publish.sets import sets_in
 from symsol_annot.sets.manifest import read_manifest, write_manifest
-from symsol_annot.sets.png import to_png
+from symsol_annot.sets.settings import ImportedSettings, Source
 from symsol_annot.sets.verify import verify
+from symsol_annot.system.png import to_png
 
-ROOT = TESTS.parent
+ROOT = Path(__file__).parents[2]
 SPLITS = [("cylO", "test"), ("tet", "train"), ("tetX", "train"), ("tetX", "test")]  # tetX's train has no sets
 COMMAND = (sys.executable, "-c", "from symsol_annot_cli.main import main; main()", "publish")
 
@@ -462,12 +463,10 @@ def test_a_folder_without_sets_or_with_a_name_that_hosts_do_not_take_is_refused(
 
 def test_an_imported_set_is_refused(tetX_set, tmp_path):
     manifest = read_manifest(tetX_set)
-    unknown = dict.fromkeys(("object_sha256", "seed", "render", "tolerance_px"))
-    camera = {**manifest.recipe["camera"], "distance": None, "focal_px": None}
-    source = {"name": "symsol.zip", "sha256": "0" * 64, "convention": "unknown", "transposed": False}
-    source |= {"rotations_listed": 12, "duplicates_removed": 0}
-    recipe = {**manifest.recipe, **unknown, "camera": camera, "source": source}
-    write_manifest(tetX_set, replace(manifest, recipe=recipe))
+    source = Source("symsol.zip", "0" * 64, "unknown", transposed=False, rotations_listed=12, duplicates_removed=0)
+    width, height = manifest.settings.image_size
+    settings = ImportedSettings(object="tetX", annotate="test", width=width, height=height, source=source)
+    write_manifest(tetX_set, replace(manifest, settings=settings))
     assert_refused(tetX_set, tmp_path / "out", DataError, "imported", "licence")
 
 

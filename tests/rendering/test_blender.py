@@ -8,8 +8,9 @@ import pytest
 from oracle import DISC_Z, boundary, cast, cast_samples
 
 from symsol_annot.objects.spec import builtin_names, load_object
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.plan import label_rotation
 

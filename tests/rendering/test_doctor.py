@@ -1,4 +1,4 @@
-"""The doctor's findings on machines that lack something; the real machine is examined in test_cli.py."""
+"""The doctor's findings on machines that lack something; the real machine is examined in tests/cli."""
 
 import ctypes
 import os

@@ -17,8 +17,9 @@ from symsol_annot.errors import RendererCrashedError, RendererMissingError
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering import blender_process
 from symsol_annot.rendering.blender_process import check_blender_installed
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import COUNTS_PER_REQUEST, RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import uniform_rotations
 
 pytestmark = pytest.mark.blender
@@ -31,7 +32,8 @@ PARENT = f"""
 import numpy as np
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
 
 renderer = RenderProcess(load_object("cylO"), Camera.filling({SIZE}), RenderSettings())
 print(renderer.pid, flush=True)

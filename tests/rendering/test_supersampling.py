@@ -7,8 +7,11 @@ import pytest
 
 from symsol_annot.errors import RenderError, SettingsError
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rendering.scene import MARKING, Camera, RenderSettings
-from symsol_annot.rendering.supersampling import CornerLight, SampleIds, pixel_averages, srgb_bytes, view_of
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.renderer import MARKING
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.rendering.shading import ColourIds, CornerLight, srgb_bytes
+from symsol_annot.rendering.supersampling import pixel_averages, view_of
 from symsol_annot.rotations.so3 import uniform_rotations
 
 SETTINGS = RenderSettings()
@@ -70,7 +73,7 @@ def test_the_average_of_one_colour_is_that_colour_also_of_the_brightest():
 
 
 def test_ids_are_told_by_colour_in_every_shade():
-    ids = SampleIds(SETTINGS)
+    ids = ColourIds(SETTINGS)
     light = np.linspace(SETTINGS.ambient, SETTINGS.ambient + SETTINGS.diffuse, 50)
     samples = np.stack(
         [
@@ -87,19 +90,19 @@ def test_a_colour_that_no_material_shows_is_an_error(stray):
     samples = np.full((4, 4, 3), 255, np.uint8)
     samples[2, 3] = stray
     with pytest.raises(RenderError, match="neither background, body nor marking"):
-        SampleIds(SETTINGS).of(samples)
+        ColourIds(SETTINGS).of(samples)
 
 
 def test_a_mixture_of_body_and_background_is_no_sample():
     """Anti-aliasing left on in the engine would be noticed."""
     body = shade(SETTINGS.body_colour, 0.5).astype(int)
     with pytest.raises(RenderError):
-        SampleIds(SETTINGS).of(((body + 255) // 2).astype(np.uint8).reshape(1, 1, 3))
+        ColourIds(SETTINGS).of(((body + 255) // 2).astype(np.uint8).reshape(1, 1, 3))
 
 
 def test_colours_that_cannot_be_told_apart_are_refused():
     with pytest.raises(SettingsError, match="must differ"):
-        SampleIds(replace(SETTINGS, marking_colour=SETTINGS.body_colour))
+        ColourIds(replace(SETTINGS, marking_colour=SETTINGS.body_colour))
 
 
 def test_the_segmentation_is_taken_at_the_centre_of_each_pixel():

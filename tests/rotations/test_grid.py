@@ -151,7 +151,16 @@ def test_half_turns_of_model_or_camera_and_quarter_turns_about_z_map_the_grid_on
 
 @pytest.mark.parametrize("level", [-1, 7])
 @pytest.mark.parametrize(
-    "function", [grid.grid_size, grid.equivolumetric_grid, grid.grid_sha256, grid.ring_to_nested, grid.GridIndex]
+    "function",
+    [
+        grid.grid_size,
+        grid.equivolumetric_grid,
+        grid.grid_sha256,
+        grid.ring_to_nested,
+        grid.GridIndex,
+        lambda level: grid.cell_of(np.eye(3)[None], level),
+        lambda level: grid.uniform_in_cells(np.zeros(1, dtype=np.int64), level, np.random.default_rng(0)),
+    ],
 )
 def test_level_that_does_not_exist_is_a_settings_error(function, level):
     with pytest.raises(SettingsError, match=f"the grid has levels 0 to 6; there is no level {level}"):
@@ -308,6 +317,21 @@ def product_cell_of(level, R):
 @levels_to[4]
 def test_every_rotation_of_the_grid_lies_in_its_own_pixel_and_interval_of_tilt(level):
     np.testing.assert_array_equal(product_cell_of(level, grid_of(level)), np.arange(grid.grid_size(level)))
+
+
+@levels_to[4]
+def test_cell_is_the_product_of_pixel_and_interval_of_tilt(level):
+    R = uniform(5_000)
+    np.testing.assert_array_equal(grid.cell_of(R, level), product_cell_of(level, R))
+
+
+@levels_to[4]
+def test_rotations_drawn_in_cells_lie_in_them_and_fill_them(level):
+    cells = np.repeat(np.array([0, 7, grid.grid_size(level) // 2, grid.grid_size(level) - 1]), 500)
+    R = grid.uniform_in_cells(cells, level, np.random.default_rng(0))
+    np.testing.assert_array_equal(product_cell_of(level, R), cells)
+    finer = product_cell_of(level + 1, R).reshape(4, 500)  # each cell is made of 8, up to half a step of tilt
+    assert all(len(np.unique(of_cell)) in (8, 12) for of_cell in finer)
 
 
 @levels_to[2]

@@ -8,15 +8,14 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from symsol_annot.rotations.group_laws import check_group, right_products
-from symsol_annot.rotations.so3 import (
+from symsol_annot.rotations.groups import (
     cyclic_group,
     dihedral_group,
     icosahedral_group,
     octahedral_group,
-    rotations_about,
     tetrahedral_group,
-    uniform_rotations,
 )
+from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 
 TOLERANCE = 1e-6
 GROUPS = {

@@ -9,6 +9,7 @@ from scoring_oracle import angle_to_arcs, angles, arc_pieces
 
 from symsol_annot.objects.spec import builtin_names, load_object
 from symsol_annot.rotations import nearest
+from symsol_annot.rotations.groups import cyclic_group, dihedral_group, octahedral_group, tetrahedral_group
 from symsol_annot.rotations.nearest import (
     angles_to_arcs,
     find_circles,
@@ -16,14 +17,7 @@ from symsol_annot.rotations.nearest import (
     nearest_angles_both_ways,
     nearest_angles_on_circles,
 )
-from symsol_annot.rotations.so3 import (
-    cyclic_group,
-    dihedral_group,
-    octahedral_group,
-    rotations_about,
-    tetrahedral_group,
-    uniform_rotations,
-)
+from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 
 NEAR_PI_TOLERANCE, TOLERANCE = 1e-7, 1e-12
 quick = settings(deadline=None, max_examples=40)

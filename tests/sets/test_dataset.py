@@ -102,7 +102,8 @@ def test_load_is_public_and_gives_the_test_split_by_default(tetX_set):
 def test_image_size_is_width_and_height(tetX_set):
     dataset = load(tetX_set)
     assert dataset.image_size == dataset[0].image.shape[1::-1]
-    dataset.manifest.recipe["camera"]["width"] = 640
+    wide = replace(dataset.manifest.rendered.camera, width=640)
+    dataset.manifest = replace(dataset.manifest, settings=replace(dataset.manifest.settings, camera=wide))
     assert dataset.image_size == (640, dataset[0].image.shape[0])
 
 
@@ -228,7 +229,7 @@ def test_symmetry_set_of_a_split_without_is_an_error_that_says_how_to_get_it(tet
     ("pixels", "is_visible"), [(0.0, False), (4.75, False), (5.0, True), (5.25, True), (300.0, True)]
 )
 def test_marking_is_visible_from_the_objects_tolerance_on(tetX_set, pixels, is_visible):
-    assert read_manifest(tetX_set).recipe["tolerance_px"] == 5.0
+    assert read_manifest(tetX_set).rendered.tolerance_px == 5.0
     marked(tetX_set, 2, pixels)
     sample = load(tetX_set)[PER_SHARD + 2]
     assert (sample.marking_pixels, sample.marking_visible) == (pixels, is_visible)
@@ -597,7 +598,7 @@ def test_notes_of_operating_systems_are_nobodys_shards_and_stay(tetX_set):
     with pytest.raises(DataError, match=f"it has sets inside: {tetX_set}$"):
         load(tetX_set.parent)
     renderer = partial(NumpyRenderer, "tetX", SIZE)
-    generate(SetPlan.of(read_manifest(tetX_set), load_object("tetX")), tetX_set, threads(renderer))
+    generate(SetPlan.behind(read_manifest(tetX_set), load_object("tetX")), tetX_set, threads(renderer))
     assert {path: path.read_bytes() for path in tetX_set.parent.rglob("*") if path.is_file()} == before
 
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_sets import make_set
+from made_sets import make_plan, make_set
 from order_readers import OPENED, Part, RecordedFile, collate, read_part, record_opens
 from processes import open_shards
 from scipy.stats import chisquare
@@ -39,7 +39,7 @@ def planned(sizes):
     """A split of shards of these many images, none of which exists: reading one would fail."""
     first = np.cumsum([0, *sizes])
     entries = (ShardEntry(f"test-{k}.h5", "test", int(first[k]), size) for k, size in enumerate(sizes))
-    return Dataset(Path("/nowhere"), "test", Manifest({"object": "nothing"}, tuple(entries)))
+    return Dataset(Path("/nowhere"), "test", Manifest(make_plan().set_settings, tuple(entries)))
 
 
 @st.composite

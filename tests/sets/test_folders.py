@@ -1,6 +1,7 @@
 """Which sets a folder holds, as every command that takes a folder of sets sees it."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,6 @@ def test_the_plan_behind_a_set_plans_the_same_set(tetX_set):
 
 def test_an_object_is_never_taken_from_a_path_that_a_manifest_names(tetX_set, tmp_path, monkeypatch):
     manifest = read_manifest(tetX_set)
-    manifest.recipe["object"] = str(tmp_path)
+    manifest = replace(manifest, settings=replace(manifest.settings, object=str(tmp_path)))
     with pytest.raises(DataError, match=r"is not built in; give its folder with --object"):
         plan_behind(tetX_set, manifest)

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 from made_sets import make_set
+from scipy.spatial.transform import Rotation
 from tampering import descriptors, flip_chunk, marked, put, reseal
 
 from symsol_annot.errors import DataError, NotAnnotatedError
@@ -126,7 +127,7 @@ def test_labels_of_a_pickled_dataset_are_the_same(tetX_set):
 
 @pytest.mark.parametrize(("pixels", "is_visible"), [(4.75, False), (5.0, True), (5.25, True)])
 def test_marking_is_visible_from_the_objects_tolerance_on(tetX_set, pixels, is_visible):
-    assert read_manifest(tetX_set).recipe["tolerance_px"] == 5.0
+    assert read_manifest(tetX_set).rendered.tolerance_px == 5.0
     marked(tetX_set, 2, pixels)
     with load(tetX_set) as dataset:
         assert dataset.labels().marking_pixels[PER_SHARD + 2] == pixels
@@ -143,6 +144,20 @@ def test_symmetry_set_of_a_row_is_its_rotation_times_the_members_of_the_group(te
         for R, g in zip(found, members, strict=True):
             product = [[np.dot(row_of_R, column_of_g) for column_of_g in g.T] for row_of_R in labels.rotation[row]]
             np.testing.assert_allclose(R, product, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle_deg", [1.0, 125.0])
+def test_candidates_are_members_or_rejected_and_those_near_a_member_are_left_out(tetX_set, angle_deg):
+    labels = load(tetX_set).labels()
+    rejected = labels.rejected_beyond(np.radians(angle_deg))
+    for row in range(0, len(labels), 5):
+        candidates, members = labels.candidates(row), labels.members(row)
+        np.testing.assert_array_equal(candidates[labels.symmetry_mask[row]], members)
+        assert labels.set_sizes[row] == len(members) == len(labels.symmetry_set(row))
+        quotients = np.swapaxes(candidates[:, None], 2, 3) @ members
+        angles = Rotation.from_matrix(quotients.reshape(-1, 3, 3)).magnitude().reshape(len(candidates), -1)
+        np.testing.assert_array_equal(rejected[row], np.degrees(angles).min(axis=1) > angle_deg)
+    assert rejected.any() == (angle_deg < 120)  # elements of the group are 120 or 180 degrees apart
 
 
 def test_no_image_is_read_for_the_labels(tetX_set):

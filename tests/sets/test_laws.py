@@ -12,12 +12,16 @@ from made_sets import make_set
 from tampering import put, reseal, tampered
 
 from symsol_annot.errors import DataError
-from symsol_annot.rendering.scene import View
-from symsol_annot.rotations.so3 import cyclic_group, dihedral_group, tetrahedral_group, uniform_rotations
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.renderer import View
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.rotations.groups import cyclic_group, dihedral_group, tetrahedral_group
+from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.dataset import load
 from symsol_annot.sets.manifest import read_manifest, write_manifest
+from symsol_annot.sets.settings import RenderedSettings
 from symsol_annot.sets.shard.header import ShardHeader
-from symsol_annot.sets.shard.laws import label_faults, labels_of
+from symsol_annot.sets.shard.laws import label_faults
 from symsol_annot.sets.shard.reader import open_shard
 from symsol_annot.sets.shard.writer import ImageRecord, ShardWriter
 from symsol_annot.sets.statistics import split_statistics
@@ -30,16 +34,14 @@ GROUP = tetrahedral_group()
 STABILISER = [
     index for index, g in enumerate(GROUP) if np.allclose(g @ [1, 1, 1], [1, 1, 1])
 ]  # of the face that tetX's marking covers
-HEADER = ShardHeader(
+SETTINGS = RenderedSettings(
     object="mug",
     object_sha256="ab" * 32,
-    split="test",
-    first_index=0,
     seed=0,
-    camera={"distance": 4.0, "focal_px": 27.9, "width": 16, "height": 16},
-    render={"engine": "workbench"},
+    camera=Camera(4.0, 27.9, 16, 16),
+    render=RenderSettings(),
     tolerance_px=TOLERANCE_PX,
-    versions={},
+    annotate="all",
 )
 VIEW = View(np.zeros((16, 16, 3), "u1"), np.ones((16, 16), "u1"), 0.0)
 REMARK = "differs from a member by one that maps the marking onto itself"
@@ -61,13 +63,14 @@ def faults_of(tmp_path, rows, group=GROUP, tolerance_px=TOLERANCE_PX):
     """Write a shard of images with these areas and sets, and return its faults."""
     rotations = uniform_rotations(len(rows), np.random.default_rng(0))
     path = tmp_path / "shard.h5"
-    with ShardWriter(replace(HEADER, tolerance_px=tolerance_px), len(rows), group, annotated=True) as writer:
+    header = ShardHeader(replace(SETTINGS, tolerance_px=tolerance_px), "test", 0, versions={})
+    with ShardWriter(header, len(rows), group, annotated=True) as writer:
         for R, (pixels, mask) in zip(rotations, rows, strict=True):
             writer.add(ImageRecord(VIEW, R, pixels, mask))
         made = writer.finish({"candidates_drawn": 0, "candidates_within_tolerance": 0})
     path.write_bytes(made.data)
     with open_shard(path) as shard:
-        return list(label_faults(shard, labels_of(shard)))
+        return list(label_faults(shard, shard.labels()))
 
 
 # The one rule's sets
@@ -278,7 +281,7 @@ def test_shard_that_is_the_manifests_by_its_digest_but_of_another_plan_is_refuse
 
 def test_sets_that_the_manifest_denies_are_refused(tetX_set):
     manifest = read_manifest(tetX_set)
-    write_manifest(tetX_set, replace(manifest, recipe={**manifest.recipe, "annotate": "none"}))
+    write_manifest(tetX_set, replace(manifest, settings=replace(manifest.settings, annotate="none")))
     with pytest.raises(DataError, match="manifest and shard disagree on whether the split has symmetry sets"):
         load(tetX_set)[0]
 

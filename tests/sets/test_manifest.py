@@ -11,20 +11,22 @@ import pytest
 from made_sets import make_plan
 
 from symsol_annot.errors import DataError, OutputError
-from symsol_annot.rendering.scene import RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.manifest import MAX_MANIFEST_BYTES, Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.sets.settings import RenderedSettings
 
-RECIPE = {
-    "object": "mug",
-    "object_sha256": "ab" * 32,
-    "seed": 7,
-    "camera": {"distance": 4.0, "focal_px": 27.9, "width": 16, "height": 16},
-    "render": RenderSettings().to_dict(),
-    "tolerance_px": 5.0,
-    "annotate": "test",
-}
+SETTINGS = RenderedSettings(
+    object="mug",
+    object_sha256="ab" * 32,
+    seed=7,
+    camera=Camera(4.0, 27.9, 16, 16),
+    render=RenderSettings(),
+    tolerance_px=5.0,
+    annotate="test",
+)
 PLANNED = Manifest(
-    RECIPE,
+    SETTINGS,
     (
         ShardEntry("train-00000-of-00001.h5", "train", 0, 5),
         ShardEntry("test-00000-of-00002.h5", "test", 0, 16),
@@ -147,7 +149,15 @@ def test_split_without_images_has_no_fingerprint():
         with_entry(2, first_index=17),
         replace(FINISHED, shards=FINISHED.shards[1:]),
         replace(FINISHED, shards=FINISHED.shards[::-1]),
-        *[replace(FINISHED, recipe={**RECIPE, key: "other"}) for key in ("object", "object_sha256", "seed", "camera")],
+        *[
+            replace(FINISHED, settings=replace(SETTINGS, **change))
+            for change in (
+                {"object": "cup"},
+                {"object_sha256": "cd" * 32},
+                {"seed": 8},
+                {"camera": Camera(4.0, 28.0, 16, 16)},
+            )
+        ],
     ],
 )
 def test_fingerprint_depends_on_contents_and_on_what_they_were_made_from(other):
@@ -170,7 +180,7 @@ def test_split_fingerprint_does_not_depend_on_the_other_split():
     ("annotate", "train", "test"), [("all", True, True), ("test", False, True), ("none", False, False)]
 )
 def test_annotate_tells_which_splits_carry_symmetry_sets(annotate, train, test):
-    manifest = replace(FINISHED, recipe={**RECIPE, "annotate": annotate})
+    manifest = replace(FINISHED, settings=replace(SETTINGS, annotate=annotate))
     assert (manifest.is_annotated("train"), manifest.is_annotated("test")) == (train, test)
 
 

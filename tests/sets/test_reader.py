@@ -21,7 +21,10 @@ import pytest
 from tampering import ChunkIndex, descriptors, links_instead, put
 
 from symsol_annot.errors import DataError
-from symsol_annot.rendering.scene import View
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.renderer import View
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.sets.settings import RenderedSettings
 from symsol_annot.sets.shard import reader as shards
 from symsol_annot.sets.shard.chunks import stored
 from symsol_annot.sets.shard.header import ShardHeader
@@ -30,17 +33,23 @@ from symsol_annot.sets.shard.writer import ImageRecord, ShardWriter
 
 COUNT, HEIGHT, WIDTH = 5, 12, 16  # not square, so that height and width cannot be swapped
 GROUP = np.array([[[c, -s, 0], [s, c, 0], [0, 0, 1]] for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))], dtype=float)
-HEADER = ShardHeader(
+SETTINGS = RenderedSettings(
     object="mug",
     object_sha256="ab" * 32,
-    split="test",
-    first_index=32,
     seed=7,
-    camera={"distance": 4.0, "focal_px": 27.9, "width": WIDTH, "height": HEIGHT},
-    render={"engine": "cycles", "ambient": 0.04},
+    camera=Camera(4.0, 27.9, WIDTH, HEIGHT),
+    render=RenderSettings("cycles", ambient=0.5),
     tolerance_px=0.25,
-    versions={"renderer": "none", "hdf5": "0"},
+    annotate="all",
 )
+HEADER = ShardHeader(SETTINGS, "test", 32, versions={"renderer": "none", "hdf5": "0"})
+
+
+def header(**changes):
+    """The header of a shard whose set has other settings."""
+    return replace(HEADER, settings=replace(SETTINGS, **changes))
+
+
 NOTES = {"candidates_drawn": 11, "candidates_within_tolerance": 2}
 LAYOUT = {
     "image": ("|u1", (COUNT, HEIGHT, WIDTH, 3)),
@@ -63,7 +72,7 @@ def records(annotated=True):
                 0.0,
             ),
             R_m2c=rng.standard_normal((3, 3)),
-            marking_pixels=float(np.float32(rng.random())),
+            coset_px=float(np.float32(rng.random())),
             symmetry_mask=rng.random(len(GROUP)) < 0.5 if annotated else None,
         )
         for _ in range(COUNT)
@@ -114,7 +123,7 @@ def test_h5py_alone_reads_what_was_written(shard):
             np.testing.assert_array_equal(file["image"][row], record.view.rgb)
             np.testing.assert_array_equal(file["segmentation"][row], record.view.segmentation)
             np.testing.assert_array_equal(file["rotation"][row], record.R_m2c)
-            assert file["marking_pixels"][row] == record.marking_pixels
+            assert file["marking_pixels"][row] == record.coset_px
             np.testing.assert_array_equal(file["symmetry_mask"][row], record.symmetry_mask)
         np.testing.assert_array_equal(file["symmetry_group"][...], GROUP)
 
@@ -153,8 +162,16 @@ def test_attributes_say_everything_needed_to_make_the_shard_again(shard):
         "split": "test",
         "first_index": 32,
         "seed": 7,
-        "camera": HEADER.camera,
-        "render": HEADER.render,
+        "camera": {"distance": 4.0, "focal_px": 27.9, "width": WIDTH, "height": HEIGHT},
+        "render": {
+            "engine": "cycles",
+            "samples_per_axis": 2,
+            "body_colour": [0.72, 0.80, 0.94],
+            "marking_colour": [0.95, 0.16, 0.04],
+            "background_colour": [1.0, 1.0, 1.0],
+            "ambient": 0.5,
+            "diffuse": 0.96,
+        },
         "engine": "cycles",
         "tolerance_px": 0.25,
         "versions": HEADER.versions,
@@ -164,7 +181,7 @@ def test_attributes_say_everything_needed_to_make_the_shard_again(shard):
 
 def test_tolerance_of_an_object_without_marking_is_nan(tmp_path):
     path = tmp_path / "plain.h5"
-    path.write_bytes(build(replace(HEADER, tolerance_px=np.nan)).data)
+    path.write_bytes(build(header(tolerance_px=None)).data)
     with open_shard(path) as shard:
         assert np.isnan(shard.attributes["tolerance_px"])
 
@@ -276,7 +293,7 @@ def test_content_digest_depends_on_every_value(shard, name):
 
 
 def test_content_digest_does_not_depend_on_the_header():
-    assert build(replace(HEADER, seed=8)).content_sha256 == build().content_sha256
+    assert build(header(seed=8)).content_sha256 == build().content_sha256
 
 
 # What is not as the format has it is refused, and nothing of it is read
@@ -1066,7 +1083,7 @@ def test_any_flipped_bit_is_found_by_the_digest_and_hdf5_never_sees_it(shard, mo
 def test_shard_that_is_replaced_while_it_is_opened_is_an_error(shard, tmp_path, monkeypatch):
     """Else the places of one file's chunks would be read in another."""
     other = tmp_path / "other.h5"
-    other.write_bytes(build(replace(HEADER, seed=8)).data)
+    other.write_bytes(build(header(seed=8)).data)
     describe = shards._DESCRIBER.describe
 
     def replace_and_describe(path):

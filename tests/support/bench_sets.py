@@ -18,7 +18,7 @@ from symsol_annot.generation.generate import generate
 from symsol_annot.sets.dataset import load
 
 SIZE = 16
-TESTS = Path(__file__).parent
+SUPPORT = Path(__file__).parent
 
 
 class DiscRenderer(NumpyRenderer):
@@ -98,5 +98,5 @@ def run(*command, env=None, cwd=None):
 
 def python(code, *arguments, env=None):
     """Run Python code that can import what lies beside the tests."""
-    path = os.pathsep.join(filter(None, [str(TESTS), os.environ.get("PYTHONPATH")]))
+    path = os.pathsep.join(filter(None, [str(SUPPORT), os.environ.get("PYTHONPATH")]))
     return run(sys.executable, "-W", "error", "-c", code, *arguments, env={**(env or {}), "PYTHONPATH": path})

@@ -4,12 +4,13 @@ from functools import partial
 
 from numpy_renderer import NumpyRenderer
 
-from symsol_annot.annotation.annotate import coset_marking_px
+from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.generation.events import ImagesMade, Started
 from symsol_annot.generation.executors import in_process
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.plan import SetPlan
 
 SIZE = 32
@@ -23,7 +24,8 @@ def make_plan(name="tetX", train=0, test=40, seed=0, size=SIZE, annotate="test")
 
 def pixels_of(spec, R, renderer):
     """The area by which the image at R shows the marking, as a set would store it."""
-    return coset_marking_px(spec, R, float(renderer.marking_pixels(R[None])[0]), renderer) if spec.marking else 0.0
+    view_px = float(renderer.marking_pixels(R[None])[0]) if spec.marking else 0.0
+    return Annotator(spec, renderer).coset_px(R, view_px)
 
 
 def threads(open_renderer, workers=1, *, exhaustive=False):

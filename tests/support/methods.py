@@ -4,7 +4,7 @@ import numpy as np
 
 from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 
-IMAGES = 12
+IMAGES = 24  # of the small set that they are written for
 
 
 def model(degrees, stops_at=None):

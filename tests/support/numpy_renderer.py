@@ -3,7 +3,7 @@
 import numpy as np
 from oracle import cast, cast_samples
 
-from symsol_annot.rendering.scene import View
+from symsol_annot.rendering.renderer import View
 
 COLOURS = np.array([[255, 255, 255], [180, 200, 230], [230, 90, 40]], dtype=np.uint8)
 # Of the 3x3 samples of a pixel, those on its corners are shared by four, those on its edges by two.

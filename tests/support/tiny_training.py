@@ -1,39 +1,16 @@
 """Recipes of four epochs and a backbone of small files: what trainings obey whatever they train."""
 
-from contextlib import contextmanager
-
-import pytest
 from torch import nn
 
-from symsol_annot.bench.models.networks import first_stage, resnet
-from symsol_annot.bench.models.recipe import ClassifierRecipe, HypothesisRecipe
-from symsol_annot.bench.models.training.training import Options
+from symsol_annot.bench.models.kinds import Recipe
+from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.networks import resnet
+from symsol_annot.bench.models.networks.backbones import BACKBONES, Backbone
+from symsol_annot.bench.models.training.loop import Options
 
-_COMMON = {
-    "title": "tiny",
-    "epochs": 4,
-    "batch_size": 8,
-    "learning_rates": (1e-3, 1e-4),
-    "milestones": (3,),
-    "validation_images": 4,
-    "start": "random",
-}
-HYPOTHESES = HypothesisRecipe(
-    **_COMMON,
-    hypotheses=4,
-    meta_loss="ewta",
-    embedded_loss="von-mises",
-    epochs_to_one=3,
-)
-CLASSIFIER = ClassifierRecipe(
-    **_COMMON,
-    negatives=16,
-    frozen_epochs=2,
-    evaluation_level=0,
-)
-RECIPES = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER}
-CPU = Options(device="cpu")
 _NARROWER = 8
+_FEATURES = resnet.FEATURES // _NARROWER
 
 
 class _NarrowResNet(resnet.ResNet18):
@@ -51,10 +28,31 @@ class _NarrowResNet(resnet.ResNet18):
         self.layer4 = nn.Sequential(block(c, d, stride=2), block(d, d, stride=1))
 
 
-@contextmanager
-def narrow_backbone():
-    """Have models made with a narrow backbone meanwhile."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(first_stage, "ResNet18", _NarrowResNet)
-        patch.setattr(first_stage, "FEATURES", resnet.FEATURES // _NARROWER)
-        yield
+NARROW = Backbone("narrow-resnet18", "resnet", _FEATURES, _NarrowResNet, (), resnet.load_pretrained)
+BACKBONES[NARROW.name] = NARROW
+
+_COMMON = {
+    "title": "tiny",
+    "epochs": 4,
+    "batch_size": 8,
+    "learning_rates": (1e-3, 1e-4),
+    "milestones": (3,),
+    "validation_images": 4,
+    "start": "random",
+    "backbone": NARROW.name,
+}
+HYPOTHESES = HypothesisRecipe(
+    **_COMMON,
+    hypotheses=4,
+    meta_loss="ewta",
+    embedded_loss="von-mises",
+    epochs_to_one=3,
+)
+CLASSIFIER = ClassifierRecipe(
+    **_COMMON,
+    negatives=16,
+    frozen_epochs=2,
+    evaluation_level=0,
+)
+RECIPES: dict[str, Recipe] = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER}
+CPU = Options(device="cpu")

@@ -10,8 +10,6 @@ import pickle
 import re
 import shutil
 import struct
-import subprocess
-import sys
 import time
 import zipfile
 import zlib
@@ -24,7 +22,6 @@ import symsol_source
 from made_sets import make_plan, make_set, threads
 from PIL import Image
 from scipy.spatial.distance import cdist
-from symsol_annot_cli.main import main
 from symsol_source import COUNTS, npz, png, rotations, write_zip
 
 import symsol_annot
@@ -71,21 +68,6 @@ def source(tmp_path_factory):
     return path, arrays, imported(path, folder / "sets")
 
 
-@pytest.fixture
-def here(monkeypatch, capfd):
-    """The command's entry point in this process."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["symsol-annot", *(str(word) for word in arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        done = subprocess.CompletedProcess(arguments, ended.value.code, *capfd.readouterr())
-        assert "Traceback" not in done.stdout + done.stderr
-        return done
-
-    return call
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_images_and_rotations_are_the_sources(source, name):
     _, arrays, made = source
@@ -113,8 +95,8 @@ def test_sets_are_the_sources_lists_without_what_they_list_twice(source, name):
 
 def test_the_ends_of_circles_are_counted(source):
     _, _, made = source
-    listed = {name: made[name].manifest.recipe["source"] for name in NAMES}
-    duplicates = {name: (said["rotations_listed"], said["duplicates_removed"]) for name, said in listed.items()}
+    sources = {name: made[name].manifest.imported.source for name in NAMES}
+    duplicates = {name: (source.rotations_listed, source.duplicates_removed) for name, source in sources.items()}
     assert duplicates == {"tet": (12, 0), "cone": (360, 1), "cyl": (720, 2), "tetX": (1, 0)}
     assert all(0 < made[name].off_so3 < SAME_RAD for name in NAMES)
     assert all(0 < made[name].off_sets_rad < SAME_RAD for name in MEMBERS)
@@ -224,7 +206,7 @@ def test_symmetries_that_act_on_the_left_are_made_to_act_on_the_right(tmp_path):
         files[f"{split}/rotations.npz"] = npz({name: np.ascontiguousarray(table) for name, table in tables.items()})
     made = imported(write_zip(tmp_path / "s.zip", files), tmp_path / "sets")
     for name in ("tet", "tetX"):  # which lists nothing that would tell, but comes from the same source
-        assert made[name].manifest.recipe["source"]["transposed"] is True
+        assert made[name].manifest.imported.source.transposed is True
         sample = symsol_annot.load(made[name].folder)[3]
         assert angles(sample.rotation, arrays[name, "test"][3, 0]) < SAME_RAD
     S = symsol_annot.load(made["tet"].folder)[3].symmetry_set
@@ -244,7 +226,7 @@ def test_only_the_test_split_may_list_sets(tmp_path):
     files, arrays = symsol_source.content(("tet",))
     files["train/rotations.npz"] = npz({"tet": arrays["tet", "train"][:, :1]})
     made = imported(write_zip(tmp_path / "s.zip", files), tmp_path / "sets")
-    assert made["tet"].manifest.recipe["annotate"] == "test"
+    assert made["tet"].manifest.settings.annotate == "test"
     assert len(symsol_annot.load(made["tet"].folder)[0].symmetry_set) == 12
     assert symsol_annot.load(made["tet"].folder, "train")[0].symmetry_mask is None
     assert verify(made["tet"].folder) == []

@@ -20,34 +20,31 @@ def make_checkpoints(folder):
     """Train a tiny model of each kind."""
     import torch
     from made_sets import make_set
-    from tiny_training import CPU, RECIPES, narrow_backbone
+    from tiny_training import CPU, RECIPES
 
-    from symsol_annot.bench.models.training.training import train
-    from symsol_annot.bench.models.weights.files import read_weights
+    from symsol_annot.bench.models.training.loop import train
+    from symsol_annot.bench.models.weights.state_dicts import read_weights
     from symsol_annot.sets.dataset import load
 
     data = make_set(folder / "data", "tetX", train=20, test=3, size=16, annotate="all")
-    with narrow_backbone():
-        for name, recipe in RECIPES.items():
-            train(recipe, load(data, "train"), folder / "runs" / name, CPU, name=name)
-            torch.save(read_weights(folder / "runs" / name / _FILES[0]), folder / "runs" / name / "weights.pt")
+    for name, recipe in RECIPES.items():
+        train(recipe, load(data, "train"), folder / "runs" / name, CPU, name=name)
+        torch.save(read_weights(folder / "runs" / name / _FILES[0]), folder / "runs" / name / "weights.pt")
 
 
 class Checkpoints(Kind):
     """The three files of a training, and torch's own format."""
 
     name, cases = "checkpoints", 1000
-    modules, bases = ("bench.checkpoints", "bench.inference", "bench.training", "cli"), ("checkpoints",)
+    modules, bases = ("bench.models.inference", "bench.models.training.loop", "cli"), ("checkpoints",)
 
     def __init__(self, root):
         import torch
-        from tiny_training import RECIPES, narrow_backbone
+        from tiny_training import RECIPES
 
         torch.set_num_threads(1)
         self._folder = folder = root / "checkpoints"
         self._recipes = RECIPES
-        self._narrow = narrow_backbone()  # for as long as this process lives
-        self._narrow.__enter__()
         runs = sorted((folder / "runs").iterdir())
         for run in runs:  # torch imports what it needs when it reads
             _read(run / "weights.pt")
@@ -90,7 +87,7 @@ class Checkpoints(Kind):
         """Go on with a training that is finished: its state is read, and nothing is trained."""
         from tiny_training import CPU
 
-        from symsol_annot.bench.models.training.training import train
+        from symsol_annot.bench.models.training.loop import train
         from symsol_annot.sets.dataset import load
 
         train(self._recipes[run], load(self._folder / "data" / "tetX", "train"), folder, CPU, name=run)
@@ -112,7 +109,7 @@ def _damaged_header(header, rng):
 
 
 def _read(path):
-    from symsol_annot.bench.models.weights.files import read_weights
+    from symsol_annot.bench.models.weights.state_dicts import read_weights
 
     weights = read_weights(path)
     if not all(isinstance(name, str) for name in weights):

@@ -178,6 +178,11 @@ def _fifo(path, whole):
     os.mkfifo(path)
 
 
+def _fifo_through_link(path, whole):
+    os.mkfifo(whole.with_name("pipe"))
+    path.symlink_to(whole.with_name("pipe"))
+
+
 def _socket(path, whole):
     here = Path.cwd()
     os.chdir(path.parent)  # a socket's path is short
@@ -201,10 +206,7 @@ def _grown(path, whole):
 
 _NO_FILES = {
     "a pipe": _fifo,
-    "a pipe, through a link": lambda path, whole: (
-        os.mkfifo(whole.with_name("pipe")),
-        path.symlink_to(whole.with_name("pipe")),
-    ),
+    "a pipe, through a link": _fifo_through_link,
     "a socket": _socket,
     "a link to /dev/zero": lambda path, whole: path.symlink_to("/dev/zero"),
     "a link to /dev/random": lambda path, whole: path.symlink_to("/dev/random"),
@@ -277,7 +279,7 @@ def _weights(name, *command):
         path, data = place.case / name, root / "checkpoints" / "data"
 
         def read():
-            from symsol_annot.bench.models.weights.files import read_weights
+            from symsol_annot.bench.models.weights.state_dicts import read_weights
 
             read_weights(path)
             return "right"
@@ -320,7 +322,7 @@ def _scheduler_file(root, place):
     path.write_text('{"address": "tcp://127.0.0.1:1"}')
 
     def read():
-        from symsol_annot.generation.dask.executor import address_in
+        from symsol_annot.generation.dask.address import address_in
 
         address_in(path)
         return "right"

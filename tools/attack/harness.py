@@ -87,8 +87,8 @@ def attack(root, tree, only=None, scale=1.0, seed=0, jobs=1, say=print):
             numbers, batch = _numbers(kind, scale), _BATCH_LISTED if kind["is_listed"] else _BATCH
             batches = [numbers[at : at + batch] for at in range(0, len(numbers), batch)]
             runs += [(name, pool.submit(run.attempt, name, numbers)) for numbers in batches]
-        for name, batch in runs:
-            results[name] += batch.result()
+        for name, attempts in runs:
+            results[name] += attempts.result()
     seconds = round(time.monotonic() - start)
     about = {"seed": seed, "scale": scale, "jobs": jobs, "seconds": seconds, **_machine()}
     return {**about, "kinds": {name: _summary(found) for name, found in results.items()}}

@@ -240,9 +240,15 @@ def lookup3(data):
     for at in range(0, len(words), 3):
         a, b, c = (a + words[at]) & mask, (b + words[at + 1]) & mask, (c + words[at + 2]) & mask
         if at + 3 < len(words):
-            for by, order in ((4, "acb"), (6, "bac"), (8, "cba"), (16, "acb"), (19, "bac"), (4, "cba")):
+            for by, first, second, third in (
+                (4, *"acb"),
+                (6, *"bac"),
+                (8, *"cba"),
+                (16, *"acb"),
+                (19, *"bac"),
+                (4, *"cba"),
+            ):
                 values = {"a": a, "b": b, "c": c}
-                first, second, third = order
                 values[first] = (values[first] - values[second]) & mask ^ turn(values[second], by)
                 values[second] = (values[second] + values[third]) & mask
                 a, b, c = values["a"], values["b"], values["c"]

@@ -78,6 +78,7 @@ def _original(folder):
             for name in file:
                 if name != "symmetry_group":
                     columns.setdefault(name, []).append(file[name][...])
+    assert group is not None, f"{folder} has no shard of the {split} split"
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
     return Original(
         folder,

@@ -2,6 +2,7 @@
 
 import copy
 import json
+from functools import partial
 
 import numpy as np
 
@@ -112,11 +113,19 @@ def make_scores(folder):
     for name, shift in (("first", 0.0), ("second", 0.1)):
         path = folder / f"{name}.h5"
         write_hypotheses(path, dataset, labels.rotation[:, None], method=name)
-        write_classifier(path, dataset, lambda i, R, by=shift: R[:, 0, 0] > 0.5 + by, method=name, level=0)
-        write_density(path, dataset, lambda i, R, by=shift: (3.0 + by) * R[:, 1, 1], method=name, level=0)
-        document = report.to_document([score_file(path, dataset.folder)], [path])
+        write_classifier(path, dataset, partial(_claims, 0.5 + shift), method=name, level=0)
+        write_density(path, dataset, partial(_density, 3.0 + shift), method=name, level=0)
+        document = report.to_document([score_file(path, dataset.folder)])
         (folder / f"{name}.json").write_text(report.to_json(document))
     _make_board(folder)
+
+
+def _claims(above, _, R):
+    return R[:, 0, 0] > above
+
+
+def _density(slope, _, R):
+    return slope * R[:, 1, 1]
 
 
 def _make_board(folder):
@@ -182,7 +191,7 @@ class Leaderboards(Kind):
     """A leaderboard's folder: results as TOML beside their scores."""
 
     name, cases = "leaderboards", 300
-    modules, bases = (*SCORING, "bench.leaderboard_page"), ("scores",)
+    modules, bases = (*SCORING, "bench.leaderboard.page"), ("scores",)
 
     def __init__(self, root):
         board = root / "scores" / "board"

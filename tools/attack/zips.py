@@ -42,7 +42,7 @@ class Zips(Kind):
     """Bytes of a zip, its members, the arrays and the pictures in it."""
 
     name, cases = "zips", 1000
-    modules, bases = ("symsol_import", "dataset", "cli"), ("zips",)
+    modules, bases = ("symsol.importing", "sets.dataset", "cli"), ("zips",)
 
     def __init__(self, root):
         self._content = (root / "zips" / "symsol.zip").read_bytes()

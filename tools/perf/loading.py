@@ -136,7 +136,7 @@ class _OpenFiles:
         self._files = [h5py.File(path) for path in self.paths]
         self._place = [(f, row) for f in self._files for row in range(len(f["image"]))]
         shards = {f: opened_shard(Path(f.filename)) for f in self._files}
-        self._rows = [(shards[f].arrays["image"], shards[f].file, row) for f, row in self._place]
+        self._rows = [(shards[f].image, shards[f].file, row) for f, row in self._place]
         self._chunks = [self._chunks_of(f, row) for f, row in self._place]
 
     def _chunks_of(self, f, row):

@@ -9,6 +9,7 @@ python tools/perf/recipe.py OBJECT THREADS FOLDER: a line "FIRST COUNT" on stdin
 seed 0, and a JSON line on stdout says what it took.
 """
 
+import argparse
 import json
 import os
 import shutil
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -23,7 +25,8 @@ import numpy as np
 from PIL import Image
 
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.plan import label_rotation
 
 SIZE, SAMPLES = 224, 16
@@ -38,8 +41,10 @@ class Recipe:
     def __init__(self, name, processes, threads, folder):
         self._folders = [Path(folder, f"recipe-{processes}x{threads}-{k}") for k in range(processes)]
         command = [sys.executable, __file__, name, str(threads)]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        self._processes = [subprocess.Popen([*command, str(path)], text=True, **pipes) for path in self._folders]
+        open_process = partial(
+            subprocess.Popen, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        self._processes = [open_process([*command, str(path)]) for path in self._folders]
         self._answers()
 
     def draw(self, frames):
@@ -75,7 +80,8 @@ def serve(name, threads, folder):
         scene.draw_frames(name, 0, 1, folder)
         print("{}", file=answers, flush=True)
         for line in sys.stdin:
-            print(json.dumps(scene.draw_frames(name, *map(int, line.split()), folder)), file=answers, flush=True)
+            first, count = line.split()
+            print(json.dumps(scene.draw_frames(name, int(first), int(count), folder)), file=answers, flush=True)
     finally:
         shutil.rmtree(frames)
 
@@ -200,5 +206,9 @@ def _ids(frame):
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1], int(sys.argv[2]), Path(sys.argv[3]))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", help="of the object")
+    parser.add_argument("threads", type=int)
+    parser.add_argument("folder", type=Path, help="where the files go")
+    serve(**vars(parser.parse_args()))
     os._exit(0)  # Blender's own shutdown has nothing to save

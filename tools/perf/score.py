@@ -18,16 +18,18 @@ import roma
 import torch
 
 from symsol_annot import load
-from symsol_annot.bench.predictions.reader import Predictions
+from symsol_annot.bench.predictions.predictions_reader import Predictions
+from symsol_annot.bench.predictions.tracks.hypotheses import HypothesesReader
 from symsol_annot.bench.predictions.truth import truth_of
 from symsol_annot.bench.predictions.writing.submission import write_columns, write_hypotheses
 from symsol_annot.bench.scoring.averages import figures, merge
-from symsol_annot.bench.scoring.scorers import HypothesesScorer
-from symsol_annot.bench.scoring.scoring import table_of
+from symsol_annot.bench.scoring.scorers.hypotheses import HypothesesScorer
 from symsol_annot.generation.executors import in_process
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rendering.scene import Camera, RenderSettings, View
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.renderer import View
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.plan import SetPlan
 from symsol_annot.system.sandbox.hdf5_process import SandboxedFile
@@ -131,11 +133,12 @@ def time_stages(path, dataset):
         start = time.perf_counter()
         predictions.check()
         checking = time.perf_counter() - start - reading
-        (track,) = predictions.tracks
+        (track,) = predictions.readers
         blocks = list(predictions.blocks(track))
+    assert isinstance(track, HypothesesReader)
     scorer = HypothesesScorer(track, truth)
     start = time.perf_counter()
-    table = merge([table_of(b.image_index, scorer.score_block(b)) for b in blocks])
+    table = merge([scorer.score_block(b) for b in blocks])
     scoring = time.perf_counter() - start
     start = time.perf_counter()
     figures(table, truth.strata)
@@ -177,7 +180,7 @@ def time_against_roma(truth, track, hypotheses, rounds=3):
 
 def with_roma(truth, hypotheses, way):
     """Compute both errors, image by image."""
-    sets = (torch.from_numpy(truth.labels.symmetry_set(i)) for i in range(len(truth)))
+    sets = (torch.from_numpy(truth.labels.members(i)) for i in range(len(truth)))
     return [way(S, H) for S, H in zip(sets, torch.from_numpy(hypotheses), strict=True)]
 
 

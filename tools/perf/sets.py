@@ -3,6 +3,7 @@
 A process of its own for each set, so that its peak memory is its own. Prints JSON.
 """
 
+import argparse
 import json
 import re
 import resource
@@ -18,7 +19,8 @@ from symsol_annot.generation.events import ImagesMade
 from symsol_annot.generation.executors import local_processes
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.plan import SetPlan
 
 
@@ -28,8 +30,8 @@ def make(name, images, processes, annotate, folder=None, cluster=None):
     With the address of a Dask cluster its workers make it; then blender_mib is 0, for Blender is no child of ours, and
     the rate is a coarse one, for workers tell of their images once a second.
     """
-    request = {"name": name, "images": images, "processes": processes, "annotate": annotate, "cluster": cluster}
-    request = json.dumps({**request, "folder": folder and str(folder)})
+    wanted = {"name": name, "images": images, "processes": processes, "annotate": annotate, "cluster": cluster}
+    request = json.dumps({**wanted, "folder": folder and str(folder)})
     done = subprocess.run([sys.executable, __file__, request], capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
 
@@ -37,7 +39,8 @@ def make(name, images, processes, annotate, folder=None, cluster=None):
 def peak_mib():
     """Return this process's peak memory; what getrusage says begins with that of the process it was forked from."""
     status = Path("/proc/self/status").read_text()
-    return round(int(re.search(r"VmHWM:\s+(\d+) kB", status)[1]) / 1024)
+    (peak_kib,) = re.findall(r"VmHWM:\s+(\d+) kB", status)
+    return round(int(peak_kib) / 1024)
 
 
 def _make_here(name, images, processes, annotate, folder, cluster):
@@ -64,4 +67,6 @@ def _make_here(name, images, processes, annotate, folder, cluster):
 
 
 if __name__ == "__main__":
-    print(json.dumps(_make_here(**json.loads(sys.argv[1]))))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("request", type=json.loads, help="the arguments of `make`, as JSON")
+    print(json.dumps(_make_here(**parser.parse_args().request)))

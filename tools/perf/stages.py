@@ -4,15 +4,17 @@ Each stage, and each way not taken, is timed over the same views, in turn, and i
 alone" draws the object's window and writes nothing: what no change outside Blender and Mesa can undercut.
 """
 
+import argparse
 import json
 import os
 import statistics
-import sys
 import time
 
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.blender import BlenderRenderer, _Window
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.renderer import Scene
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rendering.supersampling import pixel_averages
 from symsol_annot.sets.plan import label_rotation
 
@@ -21,7 +23,7 @@ WARM_UP = 5
 
 def stages_of(name, views):
     """Return the median ms of each stage of a view, of a count, and of ways not taken."""
-    renderer = BlenderRenderer(load_object(name).mesh, Camera.filling(224), RenderSettings())
+    renderer = BlenderRenderer(Scene(load_object(name).mesh, Camera.filling(224), RenderSettings()))
     times = {}
     for index in range(views + WARM_UP):
         for stage, ms in _times_of(renderer, label_rotation(0, name, "test", index)).items():
@@ -52,7 +54,7 @@ def _times_of(renderer, R):
 
 def _ways_not_taken(renderer, R, whole):
     """Time the object's window with one thing changed: its file, its light, or Blender's own anti-aliasing."""
-    scene = renderer._scene
+    scene = renderer._blender_scene
     image, shading, display = scene.render.image_settings, scene.display.shading, scene.display
     changes = {
         "the window as BMP": (image, "file_format", "BMP"),
@@ -96,8 +98,12 @@ def _ms(call):
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", help="of the object")
+    parser.add_argument("views", type=int, nargs="?", default=60)
+    arguments = parser.parse_args()
     os.environ.update(LP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Blender talks
-    print(json.dumps(stages_of(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 60)), file=answers, flush=True)
+    print(json.dumps(stages_of(arguments.name, arguments.views)), file=answers, flush=True)
     os._exit(0)

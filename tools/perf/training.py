@@ -16,16 +16,16 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from sets import peak_mib
 
+from symsol_annot.bench.models.batches import Batch
+from symsol_annot.bench.models.devices import choose_device, has_bfloat16, laid_out_for
+from symsol_annot.bench.models.kinds import kind_of
 from symsol_annot.bench.models.recipe import load_recipe
-from symsol_annot.bench.models.training import checkpoints, training
-from symsol_annot.bench.models.training.data import Batch
-from symsol_annot.bench.models.training.devices import choose_device, has_bfloat16, laid_out_for
-from symsol_annot.bench.models.training.learners import learner_of
-from symsol_annot.bench.models.training.schedules import scheduled_values_at
+from symsol_annot.bench.models.training import checkpoints, loop
 from symsol_annot.sets.dataset import load
 
 
@@ -40,12 +40,12 @@ def measure(folder, recipe="small-wta", device="auto", rounds=5, seconds=8.0):
     with load(folder, "train") as images, tempfile.TemporaryDirectory() as temporary:
         made = load_recipe(recipe).for_object(images.object, has_marking=images.has_marking)
         made = replace(made, start="random", validation_images=min(made.validation_images, len(images) // 4))
-        options = training.Options(device=str(device))
-        record = training._record(made, images, options, device, recipe)
+        options = loop.Options(device=str(device))
+        record = loop.new_record(made, images, options, device, recipe)
         start = time.perf_counter()
-        run = training._Run(record, images, Path(temporary), options, device)
+        run = loop.TrainingLoop(record, images, Path(temporary), options, device)
         once = {"read_s": time.perf_counter() - start}
-        ways = {"training": _Training(run, device), "network alone": _Bare(made, images, device)}
+        ways: dict[str, Any] = {"training": _Training(run, device), "network alone": _Bare(made, images, device)}
         for way in ways.values():
             way.rate(min(2.0, seconds))
         found = {name: [] for name in ways}
@@ -53,7 +53,7 @@ def measure(folder, recipe="small-wta", device="auto", rounds=5, seconds=8.0):
             for name in list(ways)[:: 1 if number % 2 else -1]:
                 found[name].append(ways[name].rate(seconds))
         once |= _once_an_epoch(run, Path(temporary))
-        where = run._data.where
+        where = run._source.where
     clock = 0 if device.type == "cuda" else 1
     shares = [mine[clock] / bare[clock] for mine, bare in zip(found["training"], found["network alone"], strict=True)]
     return {
@@ -78,7 +78,7 @@ class _Training:
 
     def __init__(self, run, device):
         self._run, self._device = run, device
-        self._batches = itertools.chain.from_iterable(run._data.batches(epoch) for epoch in itertools.count())
+        self._batches = itertools.chain.from_iterable(run._source.batches(epoch) for epoch in itertools.count())
         self._rng = torch.Generator(device).manual_seed(0)
 
     def rate(self, seconds):
@@ -87,8 +87,9 @@ class _Training:
 
     def _step(self, number):
         batch = next(self._batches)
-        loss = self._run._step_or_say_what_fits(batch, self._run._scheduled_at(self._run.record.epochs / 2), self._rng)
-        if number % training._STEPS_BETWEEN_CHECKS == 0:
+        half_way = self._run._on_recipes_scale(self._run.record.epochs / 2)
+        loss = self._run._step_or_say_what_fits(batch, half_way, self._rng)
+        if number % loop._STEPS_BETWEEN_CHECKS == 0:
             self._run._refuse_nan(float(loss), 0)
         return len(batch.images)
 
@@ -97,13 +98,13 @@ class _Bare:
     """The same network, losses and optimiser on one random batch that is there already."""
 
     def __init__(self, recipe, images, device):
-        camera = images.manifest.recipe["camera"]
+        width, height = images.image_size
         model = laid_out_for(device, checkpoints.new_model(recipe, None, 0))
-        self._learner = learner_of(recipe, model, images.symmetry_group)
+        self._learner = kind_of(recipe).method.learner(recipe, model, images.symmetry_group)
         self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rates[0], fused=True)
         self._rng, self._device = torch.Generator(device).manual_seed(0), device
-        self._scheduled = scheduled_values_at(recipe, recipe.epochs / 2)
-        shape = (recipe.batch_size, camera["height"], camera["width"], 3)
+        self._epoch = recipe.epochs / 2
+        shape = (recipe.batch_size, height, width, 3)
         pixels = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
         self._batch = Batch(pixels, torch.eye(3, device=device).expand(recipe.batch_size, 3, 3))
 
@@ -112,7 +113,7 @@ class _Bare:
         return _rate(self._step, seconds, self._device)
 
     def _step(self, _):
-        loss = self._learner.losses(self._batch, self._scheduled, self._rng).mean()
+        loss = self._learner.losses(self._batch, self._epoch, self._rng).mean()
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()
         self._optimizer.step()

@@ -5,6 +5,7 @@ python tools/soak
 Each is a script of its own that can be run alone; --help says what it does. The results are kept in build/soak.json.
 """
 
+import argparse
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from outcomes import PARTS
 
 def main():
     """Run every part, whatever the others found."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     scripts = [Path(__file__).parent / f"{part}.py" for part in PARTS]
     codes = [subprocess.run([sys.executable, str(script)], check=False).returncode for script in scripts]
     sys.exit(max(codes))

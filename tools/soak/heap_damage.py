@@ -21,7 +21,8 @@ from outcomes import Outcome, run_alone
 from symsol_annot.errors import RendererCrashedError, RenderError
 from symsol_annot.generation.process import Limits, ShardProcess
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.plan import SetPlan
 
 IMAGES = 16

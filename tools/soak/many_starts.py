@@ -25,8 +25,9 @@ import numpy as np
 from symsol_annot.errors import RenderError
 from symsol_annot.objects.spec import builtin_names, load_object
 from symsol_annot.rendering import blender_process
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import uniform_rotations
 
 SILENCE_S = 7200.0  # beside other work a start may wait for a processor for long
@@ -60,7 +61,7 @@ def main():
 def one_start(number, seed):
     """Start Blender, draw with it, end it, and say what it was and how it ended."""
     chance = random.Random(f"{seed} {number}")
-    engine = chance.choices(("workbench", "cycles"), (2, 1))[0]
+    engine = chance.choice(("workbench", "cycles"))
     name = chance.choice(builtin_names())
     size = chance.choice(SIZES_CYCLES if engine == "cycles" else SIZES)
     outcome = {"number": number, "object": name, "engine": engine, "size": size, "checked": number % 2 == 1}

@@ -22,8 +22,9 @@ from symsol_annot.generation.audit import audit
 from symsol_annot.generation.executors import local_processes
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
-from symsol_annot.rendering.scene import Camera, RenderSettings
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.manifest import read_manifest
 from symsol_annot.sets.plan import SetPlan
 from symsol_annot.sets.statistics import split_statistics
@@ -49,7 +50,7 @@ def made(name, folder, images, audited):
     seconds, dataset = time.monotonic() - start, load(folder)
     broken, notes = laws_of(name, dataset)
     with RenderProcess(spec, camera, settings) as renderer:
-        report = audit(dataset, spec, renderer, audited, np.random.default_rng(0))
+        report = audit(dataset, plan, renderer, audited, np.random.default_rng(0))
     statistics = split_statistics(folder, read_manifest(folder), "test")
     below = f"{statistics.candidates_within_tolerance} of {statistics.candidates_drawn} candidates"
     found = [

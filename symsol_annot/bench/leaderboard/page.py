@@ -4,18 +4,14 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from symsol_annot.bench.leaderboard.results import REFERENCE, ImageSet, Leaderboard, Reference, Result, ThesisTable
-from symsol_annot.bench.models.recipe import HypothesisRecipe, load_recipe
-from symsol_annot.bench.scoring.metric_table import (
-    F_UNWEIGHTED,
-    HIGHER,
-    METRICS,
-    RANKED_BY,
-    Place,
-    metric_of,
-    metrics_shown,
-)
+from symsol_annot.bench.leaderboard.entries import ImageSet, Leaderboard, Reference, Result, ThesisTable
+from symsol_annot.bench.leaderboard.results import REFERENCE
+from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.recipe import load_recipe
+from symsol_annot.bench.predictions.tracks.table import TRACKS
+from symsol_annot.bench.scoring.metric import HIGHER, Place
 from symsol_annot.bench.scoring.report import cell
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metric_of, metrics_shown
 from symsol_annot.system.text.markdown import escaped, fenced
 
 _HEAD = """\
@@ -28,7 +24,7 @@ of a result and its training, are what their authors state. Brackets hold 95% in
 mean: [metrics.md](metrics.md). Two rows in detail: `symsol-annot compare`.
 
 **How results rank.** Hypotheses by the F-measure at 5 degrees: of each image, the harmonic mean of coverage and
-accuracy, with all its hypotheses counted alike. M says how many hypotheses an image has. More of them cover more of a
+accuracy, with all its hypotheses counted alike. M is the number of hypotheses per image. More of them cover more of a
 set, but each one that is wrong lowers the accuracy, so that nobody wins by listing everything
 ([metrics.md](metrics.md#what-ranks)). Classifiers rank by the F-measure (7.8), densities by the log-likelihood. Rows in
 italics are references, made from the labels: they show what a perfect, a blind and an ignorant method get, and have no
@@ -51,7 +47,7 @@ or whose figures do not follow from those of their images; and the same predicti
 
 
 def to_markdown(board: Leaderboard, folder: str, link: str, page: str) -> str:
-    """Return the page.
+    """Return the leaderboard's page, in Markdown.
 
     Args:
         board: what it shows.
@@ -63,7 +59,11 @@ def to_markdown(board: Leaderboard, folder: str, link: str, page: str) -> str:
     for name, image_set in board.sets.items():
         parts += _of_set(image_set, board.results[name], board.references[name], f"{link}/{name}")
     parts += _beside_the_thesis(board)
-    parts += ["## How the results were made", *_runs(board, link), _TAIL.format(folder=folder, link=link, page=page)]
+    parts += [
+        "## How the results were made",
+        *_accounts(board, link),
+        _TAIL.format(folder=folder, link=link, page=page),
+    ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
@@ -77,7 +77,7 @@ def _of_set(
     if not results:
         yield "No results yet."
     for name in image_set.fingerprints:
-        for track in METRICS:
+        for track in TRACKS:
             rows = [result for result in results if track in result.scores.get(name, {})]
             beside = [row for row in references if track in row.scores.get(name, {})]
             if rows:
@@ -86,16 +86,16 @@ def _of_set(
 
 
 def _ranked_rows(results: Sequence[Result], name: str, track: str, link: str) -> Iterator[Sequence[str]]:
-    is_higher_better = metric_of(track, RANKED_BY[track]).better == HIGHER
+    is_higher_better = metric_of(track, TRACKS[track].ranked_by).better == HIGHER
 
     def rank(result: Result) -> float:
         value = _ranked_figure(track, result.scores[name][track]["all"])["value"]
         return math.inf if value is None else -value if is_higher_better else value
 
     titles = [metric.title + metric.arrow for metric in metrics_shown(track, Place.LEADERBOARD)]
-    yield ["", "by", *(["M"] if track == "hypotheses" else []), *titles, "scores"]
+    yield ["", "by", *SCORINGS[track].shown_facts, *titles, "scores"]
     for result in sorted(results, key=rank):
-        about = [escaped(result.run.title), escaped(result.run.by)]
+        about = [escaped(result.account.title), escaped(result.account.by)]
         yield [*about, *_figures(track, result.scores[name][track]), _link(result.name, f"{link}/{result.name}.json")]
 
 
@@ -106,17 +106,17 @@ def _reference_rows(rows: Sequence[Reference], name: str, track: str, link: str)
 
 
 def _figures(track: str, scores: Mapping[str, Any]) -> list[str]:
-    """Return the cells of a row: M of hypotheses, and the figures of all images."""
+    """Return the cells of a row: facts such as M, and the figures of all images."""
     columns, figures = metrics_shown(track, Place.LEADERBOARD), scores["all"]
-    shown = {**figures, RANKED_BY[track]: _ranked_figure(track, figures)}
-    count = [str(scores["M"])] if track == "hypotheses" else []
-    return [*count, *(cell(shown[metric.name]) for metric in columns)]
+    shown = {**figures, TRACKS[track].ranked_by: _ranked_figure(track, figures)}
+    facts = [str(scores[fact]) for fact in SCORINGS[track].shown_facts]
+    return [*facts, *(cell(shown[metric.name]) for metric in columns)]
 
 
 def _ranked_figure(track: str, figures: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return what a result ranks by; of hypotheses with weights, the figure that counts them all alike."""
-    found: Mapping[str, Any] = figures[RANKED_BY[track]]
-    return figures.get(F_UNWEIGHTED, found) if track == "hypotheses" else found
+    found: Mapping[str, Any] = figures[TRACKS[track].ranked_by]
+    return figures.get(TRACKS[track].ranked_by_if_there, found)
 
 
 def _link(name: str, target: str) -> str:
@@ -139,7 +139,10 @@ def _standing_for(recipe: str, board: Leaderboard) -> list[tuple[str, Result]]:
     """Return the results by a recipe, or by the one of the small tier that stands for it, with their sets' folders."""
     names = {recipe, board.thesis.small.get(recipe, recipe)}
     return [
-        (folder, result) for folder, of_set in board.results.items() for result in of_set if result.run.recipe in names
+        (folder, result)
+        for folder, of_set in board.results.items()
+        for result in of_set
+        if result.account.recipe in names
     ]
 
 
@@ -153,7 +156,7 @@ def _thesis_rows(table: ThesisTable, runs: Mapping[str, Sequence[tuple[str, Resu
         ]
         for folder, result in runs[recipe]:
             here = f"here, {escaped(f'{folder}/{result.name}')}{_counts(result, table)}"
-            yield [f"`{result.run.recipe}`", here, *(_measured(result, o, table) for o in table.objects)]
+            yield [f"`{result.account.recipe}`", here, *(_measured(result, o, table) for o in table.objects)]
 
 
 def _counts(result: Result, table: ThesisTable) -> str:
@@ -164,7 +167,7 @@ def _counts(result: Result, table: ThesisTable) -> str:
 
 def _counts_of_recipe(recipe: str, table: ThesisTable) -> str:
     """Return the M by which the thesis has its values of a row; nothing of other tracks."""
-    if table.track != "hypotheses":
+    if "M" not in SCORINGS[table.track].shown_facts:
         return ""
     file = load_recipe(recipe)
     known = [name for name, value in zip(table.objects, table.rows[recipe], strict=True) if not math.isnan(value)]
@@ -184,24 +187,24 @@ def _measured(result: Result, name: str, table: ThesisTable) -> str:
     return "" if value is None else f"**{value:.3f}**"
 
 
-def _runs(board: Leaderboard, link: str) -> Iterator[str]:
+def _accounts(board: Leaderboard, link: str) -> Iterator[str]:
     for folder, results in board.results.items():
         for result in results:
-            run = result.run
+            account = result.account
             yield f"### {escaped(f'{folder}/{result.name}')}"
-            facts = [f"{escaped(run.title)}, by {escaped(run.by)}, {run.date}", escaped(run.hardware)]
-            facts += [f"recipe `{run.recipe}`"] if run.recipe else []
-            facts += [escaped(run.code)] if run.code else []
-            facts += [escaped(run.notes).rstrip(".")] if run.notes else []
+            facts = [f"{escaped(account.title)}, by {escaped(account.by)}, {account.date}", escaped(account.hardware)]
+            facts += [f"recipe `{account.recipe}`"] if account.recipe else []
+            facts += [escaped(account.code)] if account.code else []
+            facts += [escaped(account.notes).rstrip(".")] if account.notes else []
             yield f"{'. '.join(facts)}. {_link(f'{result.name}.toml', f'{link}/{folder}/{result.name}.toml')}"
-            if run.commands:
-                yield fenced("\n".join(run.commands), "sh")
+            if account.commands:
+                yield fenced("\n".join(account.commands), "sh")
             yield _table(_training_rows(result))
 
 
 def _training_rows(result: Result) -> Iterator[Sequence[str]]:
     yield ["", "seed", "training, minutes", "of processor", "began with", "SHA-256 of the predictions"]
-    for name, training in result.run.objects.items():
+    for name, training in result.account.objects.items():
         used = "" if training.processor_minutes is None else f"{training.processor_minutes:.1f}"
         sha256 = result.scores[name]["predictions"]["sha256"]
         yield [

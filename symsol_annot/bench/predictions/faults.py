@@ -19,7 +19,12 @@ class FaultLog:
         return len(self._faults)
 
     def add(self, track: str, message: str) -> None:
-        """Note a fault of a track, or of "the file"."""
+        """Note a fault, once however often it is found.
+
+        Args:
+            track: its name, or "the file".
+            message: what is wrong.
+        """
         self._faults.setdefault((track, message), [])
 
     def add_rows(
@@ -30,7 +35,15 @@ class FaultLog:
         flags: npt.NDArray[np.bool_],
         describe: Callable[[int], str] | None = None,
     ) -> None:
-        """Note a fault of the flagged rows of a block that begins at `first_row`; `describe` adds to a row's number."""
+        """Note a fault that some rows of a block have in common.
+
+        Args:
+            track: that the rows are of, or "the file".
+            reason: what is wrong with each of them.
+            first_row: the number in the file of the block's first row.
+            flags: (b,) which rows of the block have the fault; where none has, nothing is noted.
+            describe: from a row's number in the block to more about it, which stands behind its number in the file.
+        """
         flagged = np.flatnonzero(flags)
         if not len(flagged):
             return
@@ -40,7 +53,7 @@ class FaultLog:
             rows.append(f"{first_row + row}" + (f" ({describe(int(row))})" if describe else ""))
 
     def lines(self) -> list[str]:
-        """Return a line a fault."""
+        """Return one line per fault, in the order in which they were found."""
         return [
             f"{track}: {reason}{self._where(track, reason, rows)}" for (track, reason), rows in self._faults.items()
         ]

@@ -13,22 +13,9 @@ FILE_ATTRIBUTES: dict[str, type] = {
     "split": str,
     "fingerprint": str,
 }
-GRID_ATTRIBUTES: dict[str, type] = {"grid_level": int, "grid_sha256": str}
-CLASSIFIER_ATTRIBUTES: dict[str, type] = {**GRID_ATTRIBUTES, "group_sha256": str, "floor": float}
-
-DENSITY_FLOOR = "density_floor"  # optional: what the writer counts any smaller probability of a cell as
-TRACK_ATTRIBUTES: dict[str, dict[str, type]] = {  # those that a writer may give
-    "hypotheses": {},
-    "classifier": CLASSIFIER_ATTRIBUTES,
-    "density": {**GRID_ATTRIBUTES, DENSITY_FLOOR: float},
-}
 
 IMAGE_INDEX = "image_index"
-TRACKS = {
-    "hypotheses": ("hypotheses", "hypothesis_weights"),
-    "classifier": ("query_probability", "grid_offsets", "grid_indices", "grid_probabilities"),
-    "density": ("density_offsets", "density_indices", "density_log_probabilities"),
-}
+THE_FILE = "the file"  # what faults belong to that are of no track
 REALS, INTEGERS = ("<f4", "<f8"), ("<i4", "<i8", "<u4")
 
 MAX_HYPOTHESES = 10_000
@@ -39,11 +26,6 @@ ROTATION_TOLERANCE = {"<f4": 1e-4, "<f8": 1e-4}
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}  # by HDF5's numbers: those that every build has
 MAX_CHUNK_BYTES = 2**28
 _SHOWN_CHARACTERS = 100  # of a stranger's value in a message
-
-
-def track_of(dataset: str) -> str:
-    """Return the track that a data set belongs to, or "the file"."""
-    return next((track for track, names in TRACKS.items() if dataset in names), "the file")
 
 
 def version_fault(found: Any, expected: int) -> str:

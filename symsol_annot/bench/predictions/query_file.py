@@ -25,6 +25,12 @@ def write_queries(
     Data sets: `query_rotation` (N, Q, 3, 3), row i about image i, and `grid_rotation` (72 x 8^level, 3, 3). Attributes:
     what a predictions file has to repeat.
 
+    Args:
+        path: of the query file; one that is there is replaced.
+        dataset: the whole split.
+        level: of the grid.
+        on_image: called after each image.
+
     Raises:
         SettingsError: the dataset is a slice, or predictions cannot be on a grid of that level.
         NotAnnotatedError: the split has no symmetry sets.

@@ -1,6 +1,7 @@
 """What a predictions file holds, checked before anything in it is read: names, types, shapes, sizes, filters."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,8 @@ from symsol_annot.bench.predictions.format import (
     MAX_CHUNK_BYTES,
     PREDICTIONS_FORMAT,
     PREDICTIONS_FORMAT_VERSION,
-    TRACKS,
+    THE_FILE,
     is_level,
-    track_of,
     version_fault,
 )
 from symsol_annot.bench.predictions.queries import group_sha256
@@ -52,8 +52,19 @@ class Structure:
         image_index: (N,) which image each row is about; None where that is broken.
     """
 
-    def __init__(self, file: SandboxedFile, truth: Truth, faults: FaultLog) -> None:
+    def __init__(
+        self, file: SandboxedFile, truth: Truth, faults: FaultLog, track_of_dataset: Mapping[str, str]
+    ) -> None:
+        """Check what the file's data sets are, and read its image index.
+
+        Args:
+            file: the predictions file.
+            truth: what it is about.
+            faults: where faults go.
+            track_of_dataset: name of a data set of the format to the name of its track.
+        """
         self.file, self.truth, self.faults = file, truth, faults
+        self._track_of_dataset = track_of_dataset
         self._file_bytes = file.path.stat().st_size
         self._facts = {name: facts for name, facts in file.datasets.items() if self._is_readable(name, facts)}
         self.image_index = self._read_image_index()
@@ -77,7 +88,7 @@ class Structure:
             return self.file.read(name, 0, self._facts[name].shape[0]).astype(np.int64)
         except PredictionsError as error:
             for fault in error.faults:
-                self.faults.add("the file", fault)
+                self.faults.add(THE_FILE, fault)
             return None
 
     def read_reals(self, name: str, start: int, stop: int) -> npt.NDArray[np.float64]:
@@ -131,7 +142,7 @@ class Structure:
                 line = (
                     f"; f[{name!r}] = range({len(self.truth)}) where rows are in order" if name == IMAGE_INDEX else ""
                 )
-                self.faults.add(track_of(name), f"data set {name!r} is missing{line}")
+                self.faults.add(self._track_of(name), f"data set {name!r} is missing{line}")
             return False
         fits = len(facts.shape) == len(shape) and all(
             isinstance(want, str) or have == want for have, want in zip(facts.shape, shape, strict=True)
@@ -141,7 +152,7 @@ class Structure:
         wanted = f"{' or '.join(t[1:] for t in types)} of shape ({', '.join(map(str, shape))})"
         found = f"{facts.dtype[1:]} of shape {facts.shape}"
         mend = mend_of_shape(name, facts.shape, facts.dtype, len(self.truth))
-        self.faults.add(track_of(name), f"{name!r}: expected {wanted}, found {found}{mend and f'; {mend}'}")
+        self.faults.add(self._track_of(name), f"{name!r}: expected {wanted}, found {found}{mend and f'; {mend}'}")
         return False
 
     def _is_contained(self, name: str, facts: DatasetFacts) -> bool:
@@ -150,8 +161,12 @@ class Structure:
         if size <= _FREE_BYTES + _MAX_EXPANSION * self._file_bytes:
             return True
         found = f"of shape {facts.shape} holds {size / 2**30:.3g} GiB, but the file is one of {self._file_bytes} bytes"
-        self.faults.add(track_of(name), f"{name!r} {found}: most of it was never written")
+        self.faults.add(self._track_of(name), f"{name!r} {found}: most of it was never written")
         return False
+
+    def _track_of(self, dataset: str) -> str:
+        """Return the track that a data set belongs to, or "the file"."""
+        return self._track_of_dataset.get(dataset, THE_FILE)
 
     def _right_attributes(self) -> dict[str, Any]:
         truth, level = self.truth, self.file.attributes.get("grid_level")
@@ -168,8 +183,8 @@ class Structure:
     def _is_readable(self, name: str, facts: DatasetFacts) -> bool:
         foreign = [str(number) for number in facts.filters if number not in FILTERS]
         reason = ""
-        if name != IMAGE_INDEX and not any(name in names for names in TRACKS.values()):
-            known = [IMAGE_INDEX, *(known for names in TRACKS.values() for known in names)]
+        known = [IMAGE_INDEX, *self._track_of_dataset]
+        if name not in known:
             reason = f"is not part of the format{mend_of_name(name, known)}"
         elif facts.found:
             reason = f"is {facts.found}, where a data set of numbers in this file belongs"
@@ -178,7 +193,7 @@ class Structure:
         elif facts.chunk_bytes > MAX_CHUNK_BYTES:
             reason = f"has chunks of {facts.chunk_bytes / 2**20:.0f} MiB; at most {MAX_CHUNK_BYTES >> 20} are read"
         if reason:
-            self.faults.add(track_of(name), f"{shown(name)} {reason}")
+            self.faults.add(self._track_of(name), f"{shown(name)} {reason}")
         return not reason
 
     def _read_image_index(self) -> npt.NDArray[np.int64] | None:
@@ -187,7 +202,7 @@ class Structure:
             return None
         count = self._facts[IMAGE_INDEX].shape[0]
         if count > 2 * expected + 1000:
-            self.faults.add("the file", f"has {count} rows; the {split} split has {expected} images")
+            self.faults.add(THE_FILE, f"has {count} rows; the {split} split has {expected} images")
             return None
         image_index = self.read_integers(IMAGE_INDEX)
         if image_index is None:
@@ -204,5 +219,5 @@ class Structure:
             if len(which):
                 some = ", ".join(str(i) for i in which[:5]) + (", ..." if len(which) > 5 else "")
                 mend = "; images count from 0: subtract 1" if counts_from_1 else ""
-                self.faults.add("the file", f"{IMAGE_INDEX!r}: {what.format(len(which), expected)}: {some}{mend}")
+                self.faults.add(THE_FILE, f"{IMAGE_INDEX!r}: {what.format(len(which), expected)}: {some}{mend}")
         return None if any(map(len, found.values())) else image_index

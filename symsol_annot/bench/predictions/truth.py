@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DataError, first_of
-from symsol_annot.rotations.nearest import Circles, find_circles
-from symsol_annot.rotations.so3 import Rotations, angle_between
+from symsol_annot.rotations.nearest import Circles
 from symsol_annot.sets.dataset import Dataset, Labels, load
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.system.text.names import SPLITS
 
+HARD_NEGATIVE_RAD = float(np.radians(5.0)) + 1e-9  # the slack is for labels, which are float64
 BARELY_PX = 20  # at an image size of 224; scaled by area
 _REFERENCE_AREA_PX = 224 * 224
 _SHOWN = 8  # sets, in a message
@@ -51,15 +51,15 @@ class Truth:
     def __len__(self) -> int:
         return len(self.labels)
 
-    @cached_property
+    @property
     def set_sizes(self) -> npt.NDArray[np.int64]:
         """(N,) how many members each image's set has."""
-        return self.labels.symmetry_mask.sum(axis=1)
+        return self.labels.set_sizes
 
-    @cached_property
+    @property
     def circles(self) -> Circles | None:
         """The circles that the body's group discretises; None for a group of isolated rotations."""
-        return find_circles(self.labels.symmetry_group)
+        return self.labels.circles
 
     @cached_property
     def strata(self) -> dict[str, npt.NDArray[np.bool_]]:
@@ -75,11 +75,6 @@ class Truth:
             "hidden": ~shown,
             "barely": shown & (self.labels.marking_pixels < barely_px),
         }
-
-
-def near_elements(group: Rotations, angle_rad: float) -> npt.NDArray[np.bool_]:
-    """Return which elements of a group (G, 3, 3) lie within an angle of each other, (G, G); so do R g and R g'."""
-    return np.stack([angle_between(g, group) <= angle_rad for g in group])
 
 
 def truth_of(dataset: Dataset) -> Truth:
@@ -119,7 +114,7 @@ def find_set(data: str | os.PathLike[str], object_name: str, split: str = "test"
     if folders == [folder]:
         return folder
     manifests = {place: _manifest(place) for place in folders}
-    of_object = [place for place, found in manifests.items() if found and found.recipe["object"] == object_name]
+    of_object = [place for place, found in manifests.items() if found and found.settings.object == object_name]
     by_content = [p for p in of_object if fingerprint and _split_fingerprint(manifests[p], split) == fingerprint]
     by_name = [place for place in folders if place.name == object_name and place in (of_object or folders)]
     for chosen in (by_content, by_name, of_object):
@@ -170,7 +165,7 @@ def _in_words(folder: Path, manifests: Mapping[Path, Manifest | None]) -> str:
     if not manifests:
         return "there is no set in it; --data names the folder of the sets, `symsol-annot render` makes one"
     lines = [
-        f"{place.name} ({found.recipe['object'] if found else 'its manifest cannot be read'})"
+        f"{place.name} ({found.settings.object if found else 'its manifest cannot be read'})"
         for place, found in manifests.items()
     ]
     return f"its sets are {first_of(lines, _SHOWN)}; --data names the folder of the set that is meant"

@@ -1,4 +1,4 @@
-"""From one figure an image to one figure a stratum: weighted means and their bootstrap intervals."""
+"""From one figure per image to one figure per stratum: weighted means and their bootstrap intervals."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class PerImage:
     weights: Mapping[str, Values]
 
     def select(self, names: Sequence[str]) -> "PerImage":
-        """Return the same with these metrics only."""
+        """Return the figures of these metrics only, in this order."""
         return PerImage(self.image_index, {n: self.values[n] for n in names}, {n: self.weights[n] for n in names})
 
 
@@ -85,7 +85,13 @@ def figures(table: PerImage, strata: Mapping[str, npt.NDArray[np.bool_]]) -> dic
 def difference(
     first: PerImage, second: PerImage, strata: Mapping[str, npt.NDArray[np.bool_]]
 ) -> dict[str, dict[str, Figure]]:
-    """Return the same for second minus first, with the same draws on both sides; both are about the same images."""
+    """Return stratum to metric to the figure of second minus first, with the same draws on both sides.
+
+    Args:
+        first: of N images.
+        second: of those images; it has the metrics of the first.
+        strata: name to (N,) images.
+    """
     a, a_weights = _sums(first, strata)
     b, b_weights = _sums(second.select(list(first.values)), strata)
     values = _ratio(b.sum(axis=0), b_weights.sum(axis=0)) - _ratio(a.sum(axis=0), a_weights.sum(axis=0))

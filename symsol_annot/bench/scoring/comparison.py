@@ -7,8 +7,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from symsol_annot.bench.scoring.averages import difference
-from symsol_annot.bench.scoring.metric_table import METRICS, Place, metrics_shown
+from symsol_annot.bench.scoring.metric import Place
 from symsol_annot.bench.scoring.report import STRATA, aligned, remarks, short
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
 from symsol_annot.bench.scoring.scores_file import per_image_table, read_scores, strata_of
 from symsol_annot.errors import ScoresError
 
@@ -30,7 +31,7 @@ def compare(paths: Sequence[AnyPath]) -> str:
         entries = [document["objects"][name] for document in documents]
         for entry, path in zip(entries, paths, strict=True):
             _refuse_other_images(name, entries[0], paths[0], entry, path)
-        for track in METRICS:
+        for track in SCORINGS:
             sides = [(d["method"], entry) for d, entry in zip(documents, entries, strict=True) if track in entry]
             if len(sides) > 1:
                 tables.append(_compare_track(name, track, sides))

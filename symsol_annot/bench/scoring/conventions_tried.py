@@ -127,7 +127,7 @@ class ConventionsTried:
         labels = self.truth.labels
         recall, precision = np.zeros((2, len(images)))
         for n, (i, R) in enumerate(zip(images, rotations, strict=True)):
-            members = labels.symmetry_set(i)
+            members = labels.members(i)
             of_members, of_predictions = nearest_angles_both_ways(members[_evenly(len(members), _MEMBERS)], R)
             recall[n], precision[n] = of_members.mean(), of_predictions.mean()
         return _Errors(float(recall.mean()), float(precision.mean()))

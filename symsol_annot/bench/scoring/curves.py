@@ -5,8 +5,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from symsol_annot.bench.scoring.metric_table import ANGLES_DEG, SWEPT_THRESHOLDS
 from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.scorers.classifier import CLASSIFIER_SCORING, SWEPT_THRESHOLDS
+from symsol_annot.bench.scoring.scorers.hypotheses import ANGLES_DEG, HYPOTHESES_SCORING
+from symsol_annot.bench.scoring.scorers.scorer import TrackScoring
 from symsol_annot.bench.scoring.scores_file import read_scores
 from symsol_annot.errors import ScoresError
 from symsol_annot.plotting.canvas import SERIES, label_text, new_figure, write_figure
@@ -36,16 +38,26 @@ def plot_precision_recall(scores: Sequence[AnyPath], path: AnyPath, name: str, s
         MissingExtraError: matplotlib is not installed.
     """
     axes_options = {"xlabel": "recall", "ylabel": "precision", "xlim": _SHARE}
-    _plot(scores, path, name, stratum, "classifier", _draw_precision_recall, axes_options)
+    _plot(scores, path, name, stratum, CLASSIFIER_SCORING, _draw_precision_recall, axes_options)
 
 
 def plot_coverage(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: str = "all") -> None:
     """Write the coverage of hypotheses over the angle, and dashed their accuracy, with their 95% intervals.
 
-    Args, Raises: as `plot_precision_recall`, of the hypotheses track.
+    Args:
+        scores: files of scores, two curves each.
+        path: a PNG, PDF or SVG.
+        name: of the object.
+        stratum: of its images.
+
+    Raises:
+        ScoresError: a file is broken, or has no hypotheses' track about the object.
+        OutputError: the picture cannot be written.
+        SettingsError: it is none of those forms.
+        MissingExtraError: matplotlib is not installed.
     """
     axes_options = {"xlabel": "angle, degrees", "ylabel": "share within it"}
-    _plot(scores, path, name, stratum, "hypotheses", _draw_coverage, axes_options)
+    _plot(scores, path, name, stratum, HYPOTHESES_SCORING, _draw_coverage, axes_options)
 
 
 def _plot(
@@ -53,14 +65,14 @@ def _plot(
     path: AnyPath,
     name: str,
     stratum: str,
-    track: str,
+    scoring: TrackScoring,
     draw: Callable[[Any, str, Figures, Mapping[str, Any]], None],
     axes_options: Mapping[str, Any],
 ) -> None:
     """Write a picture to which each file adds, by `draw`, its method's figures in a style of its own."""
     figure = new_figure(figsize=_INCHES, layout="constrained")
     axes = figure.add_subplot()
-    for number, (method, figures) in enumerate(_tracks(scores, name, track, stratum)):
+    for number, (method, figures) in enumerate(_results(scores, name, scoring, stratum)):
         colour, marker = SERIES[number % len(SERIES)], _MARKERS[number % len(_MARKERS)]
         draw(axes, method, figures, {"color": colour, "marker": marker, "markersize": 3.5, "linewidth": 1.2})
     title = name if stratum == "all" else f"{name}, {stratum}"
@@ -94,9 +106,9 @@ def _draw_coverage(axes: Any, method: str, figures: Figures, style: Mapping[str,
         axes.fill_between(list(known), *ends, color=style["color"], alpha=0.12, linewidth=0)
 
 
-def _tracks(paths: Sequence[AnyPath], name: str, track: str, stratum: str) -> list[tuple[str, Figures]]:
+def _results(paths: Sequence[AnyPath], name: str, scoring: TrackScoring, stratum: str) -> list[tuple[str, Figures]]:
     """Return the name of each file's result, with its M where it has one, and its figures."""
-    found = []
+    found, track = [], scoring.track.name
     for path in paths:
         document = read_scores(path)
         scores = document["objects"].get(name, {}).get(track, {})
@@ -106,8 +118,8 @@ def _tracks(paths: Sequence[AnyPath], name: str, track: str, stratum: str) -> li
             raise ScoresError(
                 f"{path}: expected a {track} track about {name}, with a stratum {stratum}; it is about {there}"
             )
-        count = f" (M = {scores['M']})" if track == "hypotheses" else ""
-        found.append((f"{document['method']}{count}", figures))
+        facts = "".join(f" ({fact} = {scores[fact]})" for fact in scoring.shown_facts)
+        found.append((f"{document['method']}{facts}", figures))
     return found
 
 

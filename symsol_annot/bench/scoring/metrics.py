@@ -1,4 +1,6 @@
-"""The metrics, one pure function an equation, about single images. docs/metrics.md defines them without a gap.
+"""The metrics, one pure function per equation, about single images. docs/metrics.md defines them without a gap.
+
+Counts may be those of one image, or of several along leading axes that broadcast against each other.
 
 Averages over images, and their intervals, are `averages.py`.
 """
@@ -57,8 +59,8 @@ def harmonic_mean(coverage: Ratios, accuracy: Ratios) -> Ratios:
 # Classifiers (section 7.2)
 
 
-def recall(true_positives: Counts, set_size: int) -> Ratios:
-    """Return TP / |S| (eq. 7.5)."""
+def recall(true_positives: Counts, set_size: Counts | int) -> Ratios:
+    """Return TP / |S| (eq. 7.5), in [0, 1]."""
     return true_positives / set_size
 
 
@@ -68,12 +70,14 @@ def precision(true_positives: Counts, false_positives: Counts) -> Ratios:
     return np.divide(true_positives, predicted, out=np.ones(predicted.shape), where=predicted > 0)
 
 
-def f_measure(true_positives: Counts, false_positives: Counts, set_size: int) -> Ratios:
+def f_measure(true_positives: Counts, false_positives: Counts, set_size: Counts | int) -> Ratios:
     """Return 2 TP / (2 TP + FP + FN), which is eq. 7.8 wherever that is defined, and 0 where TP is 0."""
     return 2.0 * true_positives / (true_positives + false_positives + set_size)
 
 
-def classifier_accuracy(true_positives: Counts, false_positives: Counts, set_size: int, grid_size: int) -> Ratios:
+def classifier_accuracy(
+    true_positives: Counts, false_positives: Counts, set_size: Counts | int, grid_size: int
+) -> Ratios:
     """Return (TP + TN) / (|S| + |G|) (eq. 7.7)."""
     return (true_positives + grid_size - false_positives) / (set_size + grid_size)
 

@@ -30,11 +30,11 @@ Write = Callable[[Path, Dataset, Truth, int], None]  # the last is the grid's le
 
 def truth(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write the symmetry sets themselves, as hypotheses, classifier and density."""
-    write_hypotheses(path, dataset, known.labels.symmetry_set, method="truth", progress=False)
+    write_hypotheses(path, dataset, known.labels.members, method="truth", progress=False)
     nowhere = [np.zeros(0, dtype=np.int64)] * len(known)
     _write_classifier(path, dataset, known.labels.symmetry_mask, nowhere, "truth", level)
     grid = GridIndex(level)
-    cells = [np.unique(grid.nearest(known.labels.symmetry_set(i)), return_counts=True) for i in range(len(known))]
+    cells = [np.unique(grid.nearest(known.labels.members(i)), return_counts=True) for i in range(len(known))]
     columns = {
         "density_offsets": _offsets([indices for indices, _ in cells]),
         "density_indices": np.concatenate([indices for indices, _ in cells]),
@@ -53,10 +53,10 @@ def one_true_rotation(path: Path, dataset: Dataset, known: Truth, _level: int = 
 def body_group(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write all rotations of the body, as a method does that is blind to the marking."""
     labels = known.labels
-    everything = np.ones_like(labels.symmetry_mask)
+    everything = np.ones((len(labels), len(dataset.symmetry_group)), dtype=bool)
     nowhere = [np.zeros(0, dtype=np.int64)] * len(known)
     method = "the body's group, blind to the marking"
-    write_hypotheses(path, dataset, lambda i: labels.rotation[i] @ labels.symmetry_group, method=method, progress=False)
+    write_hypotheses(path, dataset, labels.candidates, method=method, progress=False)
     _write_classifier(path, dataset, everything, nowhere, method, level)
 
 
@@ -75,14 +75,14 @@ def evenly_placed(path: Path, dataset: Dataset, known: Truth, _level: int = STAN
 def rounded_to_grid(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write the grid rotations nearest to the members: as hypotheses, and as what a classifier claims on the grid."""
     grid, method = GridIndex(level), "truth rounded to the grid"
-    cells = [np.unique(grid.nearest(known.labels.symmetry_set(i))) for i in range(len(known))]
+    cells = [np.unique(grid.nearest(known.labels.members(i))) for i in range(len(known))]
     write_hypotheses(path, dataset, lambda i: grid.rotations[cells[i]], method=method, progress=False)
     _write_classifier(path, dataset, known.labels.symmetry_mask, cells, method, level)
 
 
 def yes_to_queries(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write a classifier that says yes to whatever it is asked and claims nothing on the grid; it must not rank."""
-    count = query_count(len(known.labels.symmetry_group))
+    count = query_count(len(dataset.symmetry_group))
     columns = {
         "query_probability": np.ones((len(known), count), dtype=np.float32),
         **_on_grid([np.zeros(0, dtype=np.int64)] * len(known)),
@@ -122,27 +122,15 @@ def score_row(
     for path, dataset in zip(paths, datasets, strict=True):
         ROWS[name](path, dataset, truth_of(dataset), level)
         scores.append(score_file(path, dataset.folder))
-    return report.to_document(scores, paths)
+    return report.to_document(scores)
 
 
 def _even(known: Truth, i: int) -> Rotations:
-    labels = known.labels
-    members = np.flatnonzero(labels.symmetry_mask[i])
-    if len(members) > HYPOTHESES:
-        in_order = members if known.circles is None else _along_arcs(known.circles.index, labels.symmetry_mask[i])
-        members = in_order[((np.arange(HYPOTHESES) + 0.5) * len(in_order) / HYPOTHESES).astype(int)]
-    return labels.rotation[i] @ labels.symmetry_group[members]
-
-
-def _along_arcs(circles: npt.NDArray[np.intp], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """Return the members of a set, circle by circle, each from where its longest gap ends."""
-    found = []
-    for circle in circles:
-        steps = np.flatnonzero(mask[circle])
-        if len(steps):
-            gaps = np.diff(steps, prepend=steps[-1] - len(circle))
-            found.append(circle[np.roll(steps, -int(np.argmax(gaps)))])
-    return np.concatenate(found)
+    """Return up to 30 members (m, 3, 3) of an image's set, even along its arcs."""
+    in_order = known.labels.symmetry_set(i).along_arcs
+    if len(in_order) <= HYPOTHESES:
+        return known.labels.members(i)
+    return in_order[((np.arange(HYPOTHESES) + 0.5) * len(in_order) / HYPOTHESES).astype(int)]
 
 
 def _write_classifier(

@@ -4,13 +4,11 @@ import csv
 import io
 import json
 import math
-import os
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from functools import partial
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +16,11 @@ import numpy as np
 from symsol_annot import __version__
 from symsol_annot.bench.predictions.queries import group_sha256
 from symsol_annot.bench.scoring.averages import DRAWS, MIN_IMAGES, Figure
-from symsol_annot.bench.scoring.metric_table import METRICS, Place, metrics_shown
+from symsol_annot.bench.scoring.metric import Place
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
 from symsol_annot.bench.scoring.scoring import ObjectScores, TrackScores
 from symsol_annot.errors import ScoresError
 from symsol_annot.rotations.grid import grid_sha256
-from symsol_annot.system.reading import file_sha256
 
 SCORES_FORMAT = "symsol-annot scores"
 SCORES_FORMAT_VERSION = 1
@@ -35,7 +33,7 @@ F_NOTE = (
 )
 
 
-def to_document(scores: Sequence[ObjectScores], files: Sequence[str | os.PathLike[str]]) -> dict[str, Any]:
+def to_document(scores: Sequence[ObjectScores]) -> dict[str, Any]:
     """Return the scores of one method on some objects as a JSON document.
 
     Raises:
@@ -58,18 +56,18 @@ def to_document(scores: Sequence[ObjectScores], files: Sequence[str | os.PathLik
             **{name: version(name) for name in ("numpy", "scipy", "h5py")},
         },
         "bootstrap": {"draws": DRAWS, "interval": 0.95, "min_images": MIN_IMAGES},
-        "objects": {one.truth.object: _object(one, Path(path)) for one, path in zip(scores, files, strict=True)},
+        "objects": {one.truth.object: _object(one) for one in scores},
     }
 
 
-def _object(scores: ObjectScores, path: Path) -> dict[str, Any]:
+def _object(scores: ObjectScores) -> dict[str, Any]:
     truth = scores.truth
     document: dict[str, Any] = {
         "split": truth.split,
         "images": len(truth),
         "fingerprint": truth.fingerprint,
         "group_sha256": group_sha256(truth.labels.symmetry_group),
-        "predictions": {"file": path.name, "sha256": file_sha256(path)},
+        "predictions": {"file": scores.file, "sha256": scores.sha256},
         "strata": {name: int(rows.sum()) for name, rows in truth.strata.items()},
     }
     for name, track in scores.tracks.items():
@@ -141,10 +139,10 @@ def tables(document: dict[str, Any]) -> str:
 
 def _object_tables(method: str, name: str, entry: dict[str, Any]) -> str:
     lines = [f"{name}, {entry['split']} split, {entry['images']} images: {method}"]
-    for track in METRICS:
+    for track in SCORINGS:
         if track in entry:
             lines += ["", *_track_table(track, entry)]
-    if len(entry["strata"]) > 1 and ("hypotheses" in entry or "classifier" in entry):
+    if len(entry["strata"]) > 1 and any(track in entry and _has_f_measure(track) for track in SCORINGS):
         lines += ["", *F_NOTE.splitlines()]
     return "\n".join(lines)
 
@@ -158,12 +156,11 @@ def _track_table(track: str, entry: dict[str, Any]) -> list[str]:
         for metric in metrics_shown(track, Place.TABLES)
         if metric.name in scores["all"]
     ]
-    lines = aligned(rows)
-    if track == "classifier":
-        lines += [f"  p > {scores['threshold']}, grid of level {scores['grid_level']}; the sweep is in --json"]
-    if "density_floor" in scores:
-        lines += [f"  probabilities of cells under {scores['density_floor']:g} were not told apart by its writer"]
-    return lines + remarks(scores)
+    return [*aligned(rows), *SCORINGS[track].caption(scores), *remarks(scores)]
+
+
+def _has_f_measure(track: str) -> bool:
+    return any(metric.name.startswith("f_measure") for metric in metrics_shown(track, Place.TABLES))
 
 
 def remarks(scores: dict[str, Any], whose: str = "") -> list[str]:
@@ -195,13 +192,13 @@ def short(value: float, sign: str = "-") -> str:
 def _summary(document: dict[str, Any]) -> str:
     """Return a row per figure and a column per object, and their mean."""
     lines = ["all objects, all images"]
-    for track in METRICS:
+    for track, scoring in SCORINGS.items():
         entries = {name: entry[track] for name, entry in document["objects"].items() if track in entry}
         if not entries:
             continue
         rows = [[track, *entries, "mean"]]
-        if track == "hypotheses":
-            rows.append(["M, hypotheses per image", *(str(entry["M"]) for entry in entries.values()), ""])
+        for fact, title in scoring.shown_facts.items():
+            rows.append([title, *(str(entry[fact]) for entry in entries.values()), ""])
         for metric in metrics_shown(track, Place.SUMMARY):
             values = [entry["all"][metric.name]["value"] for entry in entries.values()]
             known = [value for value in values if value is not None]

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.bench.predictions.format import MAX_HYPOTHESES, version_fault
+from symsol_annot.bench.predictions.format import version_fault
 from symsol_annot.bench.predictions.structure import shown
 from symsol_annot.bench.scoring.averages import PerImage, figures
-from symsol_annot.bench.scoring.metric_table import METRICS, pooled_metrics
 from symsol_annot.bench.scoring.report import SCORES_FORMAT, SCORES_FORMAT_VERSION, STRATA
-from symsol_annot.bench.scoring.scorers import hypotheses_name
+from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.errors import ScoresError, bulleted
 from symsol_annot.system.reading import read_bytes
 from symsol_annot.system.text.names import (
@@ -118,7 +117,7 @@ def _object_faults(entry: Any) -> Iterator[str]:
     if not set(strata) <= set(STRATA[1:]):  # "all" would take the place of all images
         yield f".per_image.strata has others than {', '.join(STRATA[1:])}"
         return
-    for track in (track for track in METRICS if track in entry):
+    for track in (track for track in SCORINGS if track in entry):
         yield from _track_faults(track, entry[track], per_image.get(track), images, ["all", *strata])
 
 
@@ -148,13 +147,11 @@ def _track_faults(track: str, scores: Any, columns: Any, images: int, strata: li
 
 def _faults_of_facts(track: str, scores: dict[str, Any]) -> Iterator[str]:
     """Say what is wrong with what stands beside a track's figures: its name, its M, warnings and notes."""
-    name = track
-    if track == "hypotheses":
-        if not _is_count(scores.get("M"), MAX_HYPOTHESES + 1) or scores["M"] == 0:
-            yield f".M: expected 1 to {MAX_HYPOTHESES} hypotheses per image, found {shown(scores.get('M'))}"
-            return
-        name = hypotheses_name(scores["M"])
-    if scores.get("name") != name:
+    faults = list(SCORINGS[track].faults_of_facts(scores))
+    yield from faults
+    if faults:
+        return
+    if scores.get("name") != (name := SCORINGS[track].name_of(scores)):
         yield f".name: expected {name!r}, found {shown(scores.get('name'))}"
     for what, found in (("warnings", scores.get("warnings")), ("notes", scores.get("notes", []))):
         if not isinstance(found, list) or not all(_is_text(line) for line in found):
@@ -177,11 +174,13 @@ def _is_averaged(figure: Any) -> bool:
 
 def per_image_table(entry: dict[str, Any], track: str) -> PerImage:
     """Return the figures of each image that an object's scores hold of a track."""
-    columns, pooled = entry["per_image"][track], pooled_metrics(track)
-    values = {metric: np.array(column, dtype=np.float64) for metric, column in columns.items()}
-    sizes = np.array(entry["per_image"]["set_size"], dtype=np.float64)
-    weights = {
-        metric: np.where(np.isnan(column), 0.0, sizes if metric in pooled else 1.0) for metric, column in values.items()
+    metrics = {metric.name: metric for metric in SCORINGS[track].metrics}
+    columns = entry["per_image"][track].items()
+    values = {name: np.array(column, dtype=np.float64) for name, column in columns}
+    sizes = np.array(entry["per_image"]["set_size"])
+    weights = {  # a name that this version does not know weighs all images alike
+        name: metrics[name].weights(column, sizes) if name in metrics else np.where(np.isnan(column), 0.0, 1.0)
+        for name, column in values.items()
     }
     return PerImage(np.arange(entry["images"]), values, weights)
 
@@ -198,7 +197,7 @@ def strata_of(entry: dict[str, Any]) -> dict[str, npt.NDArray[np.bool_]]:
 def figures_that_differ(entry: dict[str, Any]) -> Iterator[str]:
     """Yield the figures of an object's scores, or ends of their intervals, that its images' figures do not give."""
     strata = strata_of(entry)
-    for track in (track for track in METRICS if track in entry):
+    for track in (track for track in SCORINGS if track in entry):
         for stratum, computed in figures(per_image_table(entry, track), strata).items():
             for metric, figure in computed.items():
                 found = entry[track][stratum][metric]

@@ -1,20 +1,15 @@
 """Predictions against the truth: figures per image, track by track, and then figures per stratum."""
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from symsol_annot.bench.predictions.reader import Predictions, open_predictions
-from symsol_annot.bench.predictions.tracks import ClassifierTrack, DensityTrack, HypothesesTrack, Track
+from symsol_annot.bench.predictions.predictions_reader import Predictions, open_predictions
+from symsol_annot.bench.predictions.tracks.track import TrackReader
 from symsol_annot.bench.predictions.truth import Truth
 from symsol_annot.bench.scoring.averages import Figure, PerImage, figures, merge
-from symsol_annot.bench.scoring.scorers import ClassifierScorer, DensityScorer, Facts, HypothesesScorer, Row, Scorer
-
-OnImages = Callable[[int], object]
+from symsol_annot.bench.scoring.scorers.scorer import Scorer
+from symsol_annot.bench.scoring.scorers.table import SCORINGS
+from symsol_annot.system.progress import OnImages, ignore_images
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +28,7 @@ class TrackScores:
     name: str
     per_image: PerImage
     figures: dict[str, dict[str, Figure]]
-    facts: Facts
+    facts: dict[str, float | int]
     warnings: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
@@ -43,18 +38,22 @@ class ObjectScores:
     """The scores of one predictions file.
 
     Attributes:
-        method: what it calls itself.
+        file: its name, without the folder.
+        sha256: of the file, as hexadecimal; empty where `open_predictions` did not open it.
+        method: what the method calls itself.
         truth: what it was held against.
         tracks: name to scores.
     """
 
+    file: str
+    sha256: str
     method: str
     truth: Truth
     tracks: dict[str, TrackScores]
 
 
 def score_file(
-    path: str | os.PathLike[str], data: str | os.PathLike[str], on_images: OnImages = lambda _: None
+    path: str | os.PathLike[str], data: str | os.PathLike[str], on_images: OnImages = ignore_images
 ) -> ObjectScores:
     """Score a predictions file.
 
@@ -71,8 +70,12 @@ def score_file(
         return score(predictions, on_images)
 
 
-def score(predictions: Predictions, on_images: OnImages = lambda _: None) -> ObjectScores:
+def score(predictions: Predictions, on_images: OnImages = ignore_images) -> ObjectScores:
     """Score predictions, whose contents are checked on the way.
+
+    Args:
+        predictions: of one file.
+        on_images: called with a count whenever so many images of a track were scored.
 
     Raises:
         PredictionsError: with all faults of the file.
@@ -80,45 +83,30 @@ def score(predictions: Predictions, on_images: OnImages = lambda _: None) -> Obj
     truth = predictions.truth
     if predictions.faults:
         predictions.check()
-    tables = {track.name: _per_image(track, predictions, on_images) for track in predictions.tracks}
+    scored = {reader.name: _per_image(reader, predictions, on_images) for reader in predictions.readers}
     predictions.raise_faults()
-    tracks = {}
-    for name, (scorer, table) in tables.items():
-        result = figures(table, truth.strata)
-        warnings, notes = scorer.warnings(result["all"]), scorer.notes()
-        tracks[name] = TrackScores(scorer.name, table, result, scorer.facts, warnings, notes)
-    return ObjectScores(predictions.method, truth, tracks)
+    tracks = {name: _track_scores(name, scorer, table, truth) for name, (scorer, table) in scored.items()}
+    return ObjectScores(predictions.path.name, predictions.sha256, predictions.method, truth, tracks)
 
 
-def _per_image(track: Track, predictions: Predictions, on_images: OnImages) -> tuple[Scorer, PerImage]:
+def _per_image(reader: TrackReader, predictions: Predictions, on_images: OnImages) -> tuple[Scorer, PerImage]:
     """Return a track's figures of every image; incomplete where the file has faults."""
-    scorer: Any = scorer_of(track, predictions.truth)
+    scorer = SCORINGS[reader.name].open(reader, predictions.truth)
     parts = []
-    for block in predictions.blocks(track):
-        count = len(block.image_index)
+    for block in predictions.blocks(reader):
         if not predictions.faults:
-            parts.append(table_of(block.image_index, scorer.score_block(block)))
-        on_images(count)
+            parts.append(scorer.score_block(block))
+        on_images(len(block.image_index))
     return scorer, merge(parts)
 
 
-def scorer_of(track: Track, truth: Truth) -> Scorer:
-    """Return what scores a track."""
-    match track:
-        case HypothesesTrack():
-            return HypothesesScorer(track, truth)
-        case ClassifierTrack():
-            return ClassifierScorer(track, truth)
-        case DensityTrack():
-            return DensityScorer(track, truth)
-
-
-def table_of(image_index: npt.NDArray[np.int64], rows: list[Row]) -> PerImage:
-    """Return one image's figures after another's as columns."""
-    names = list(rows[0])
-    columns = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in names}
-    return PerImage(
-        image_index,
-        {name: column[:, 0] for name, column in columns.items()},
-        {name: column[:, 1] for name, column in columns.items()},
+def _track_scores(track: str, scorer: Scorer, per_image: PerImage, truth: Truth) -> TrackScores:
+    result = figures(per_image, truth.strata)
+    return TrackScores(
+        name=SCORINGS[track].name_of(scorer.facts),
+        per_image=per_image,
+        figures=result,
+        facts=scorer.facts,
+        warnings=scorer.warnings(result["all"]),
+        notes=scorer.notes(),
     )

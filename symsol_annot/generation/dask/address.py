@@ -35,7 +35,7 @@ class SchedulerAddress:
         return self.protocol == "tls"
 
     def by(self, protocol: str) -> str:
-        """Return the same place's address by a protocol."""
+        """Return the address of this place by a protocol."""
         return f"{protocol}://{unparse_host_port(self.host, self.port)}"
 
     def __str__(self) -> str:

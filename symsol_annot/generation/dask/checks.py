@@ -29,8 +29,8 @@ CONNECT_SECONDS = 10.0
 DECIDE_BYTES = ("bpy", "h5py", "numpy", "zlib-ng")  # Mesa and HDF5 are compared when a shard arrives
 
 _SILENCE_SECONDS = 2.0  # after which a server is asked whether it speaks TLS
-_GREETING_LIMIT = 2**16  # bytes; Dask's has 66
-_GREETING_MARK = b"pickle-protocol"
+_HANDSHAKE_LIMIT = 2**16  # bytes; Dask's has 66
+_HANDSHAKE_MARK = b"pickle-protocol"
 _NO_SCHEDULER = (
     "something that is no Dask scheduler answers there. Give the address that `dask scheduler` prints at its start"
 )
@@ -39,14 +39,14 @@ _NO_SCHEDULER = (
 def check_scheduler(text: str) -> None:
     """Check that a Dask scheduler answers at an address.
 
-    What greets otherwise than Dask does is never handed to Dask, which would unpickle it, and take memory for as many
-    bytes as it announces.
+    A server whose handshake is not Dask's is never handed to Dask, which would unpickle what it sends, and take memory
+    for as many bytes as it announces.
 
     Args:
         text: the address, like tcp://10.0.0.1:8786.
 
     Raises:
-        ClusterError: nobody answers, something else does, or TLS is missing on a side or fails; the message says which.
+        ClusterError: no server answers, or one that is no scheduler, or TLS is missing on a side or fails.
     """
     try:
         address = read_address(text)
@@ -58,7 +58,7 @@ def check_scheduler(text: str) -> None:
 
 
 def _fault_of(address: SchedulerAddress) -> str | None:
-    """Connect, and say what keeps Dask from doing so; None where a Dask server greets."""
+    """Connect, and say what keeps Dask from doing so; None where a Dask server answers."""
     if not address.is_encrypted and is_encryption_required():
         return (
             "tcp:// has no encryption, which distributed.comm.require-encryption demands in Dask's configuration. Give "
@@ -85,7 +85,7 @@ def _fault_of_tcp(connection: socket.socket, address: SchedulerAddress) -> str |
             f"Dask of this command's certificates ({GUIDE})"
         )
     try:
-        return None if _greets_as_dask(connection) else _NO_SCHEDULER
+        return None if _is_dask_handshake(connection) else _NO_SCHEDULER
     except OSError:
         return _NO_SCHEDULER
 
@@ -104,14 +104,14 @@ def _is_silent(connection: socket.socket) -> bool:
 def _fault_of_tls(connection: socket.socket, context: ssl.SSLContext, address: SchedulerAddress) -> str | None:
     try:
         with context.wrap_socket(connection) as encrypted:
-            return None if _greets_as_dask(encrypted) else _NO_SCHEDULER  # TLS 1.3 refuses a certificate only now
+            return None if _is_dask_handshake(encrypted) else _NO_SCHEDULER  # TLS 1.3 refuses a certificate only now
     except ssl.SSLError as error:
         fault = failure_in_words(error)
         if fault:
             return f"the TLS connection failed: {fault}"
     except OSError:  # silent, or it hung up
         return _NO_SCHEDULER
-    if not _greets_by_tcp(address):
+    if not _speaks_dask_by_tcp(address):
         return _NO_SCHEDULER
     return (
         f"a Dask scheduler without TLS answers there. Start it with `dask scheduler --protocol tls{TLS_OPTIONS}`; "
@@ -121,15 +121,15 @@ def _fault_of_tls(connection: socket.socket, context: ssl.SSLContext, address: S
     )
 
 
-def _greets_as_dask(connection: socket.socket) -> bool:
-    """Read what a server says first, and no more of it than a greeting has.
+def _is_dask_handshake(connection: socket.socket) -> bool:
+    """Tell whether a server begins as Dask does, reading no more bytes than a handshake of Dask's has.
 
     Raises:
         OSError: it ended the connection or said nothing in time.
     """
     end = time.monotonic() + CONNECT_SECONDS
     (length,) = struct.unpack("<Q", _received(connection, 8, end))
-    return length <= _GREETING_LIMIT and _GREETING_MARK in _received(connection, length, end)
+    return length <= _HANDSHAKE_LIMIT and _HANDSHAKE_MARK in _received(connection, length, end)
 
 
 def _received(connection: socket.socket, length: int, end: float) -> bytes:
@@ -148,7 +148,10 @@ def _received(connection: socket.socket, length: int, end: float) -> bytes:
 
 def _speaks_tls(address: SchedulerAddress) -> bool:
     anybody = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    anybody.check_hostname, anybody.verify_mode = False, ssl.CERT_NONE  # nothing is said: it is asked what it speaks
+    anybody.check_hostname, anybody.verify_mode = (
+        False,
+        ssl.CERT_NONE,
+    )  # no data are sent: only whether it speaks TLS is asked
     try:
         with _connection(address, _SILENCE_SECONDS) as connection, anybody.wrap_socket(connection):
             return True
@@ -158,9 +161,9 @@ def _speaks_tls(address: SchedulerAddress) -> bool:
         return False
 
 
-def _greets_by_tcp(address: SchedulerAddress) -> bool:
+def _speaks_dask_by_tcp(address: SchedulerAddress) -> bool:
     with suppress(OSError), _connection(address, CONNECT_SECONDS) as connection:
-        return _greets_as_dask(connection)
+        return _is_dask_handshake(connection)
     return False
 
 
@@ -176,7 +179,7 @@ def _fault_of_identity(address: SchedulerAddress) -> str | None:
         with silent_dask():
             answer = asyncio.run(identity())
         found = answer["type"] if isinstance(answer, dict) and "type" in answer else answer
-    except Exception as error:  # noqa: BLE001 - whatever a stranger's answer makes of Dask
+    except Exception as error:  # noqa: BLE001 - whatever an unknown answer makes of Dask
         found = type(error).__name__
     if found == "Scheduler":
         return None

@@ -24,7 +24,7 @@ from symsol_annot.generation.dask.checks import (
     worker_options,
 )
 from symsol_annot.generation.dask.worker import ShardMakers, make_on_worker
-from symsol_annot.generation.maker import MadeShard, OnImages
+from symsol_annot.generation.maker import MadeShard, OnShardImages
 from symsol_annot.generation.process import DEFAULT_LIMITS, Limits
 from symsol_annot.sets.manifest import ShardEntry
 from symsol_annot.sets.plan import SetPlan
@@ -54,7 +54,7 @@ class DaskCluster:
         self._makers = ShardMakers(plan, limits, exhaustive=exhaustive)
         self._name = self._makers.name
         self._keys = (f"{self._name} {uuid.uuid4().hex[:8]}-{number}" for number in count())
-        self._on_images: dict[str, OnImages] = {}  # by shard
+        self._on_shard_images: dict[str, OnShardImages] = {}  # by shard
         self._threads, self._looked_at = 0, -_LOOK_SECONDS
         self._arrivals: list[threading.Thread] = []
         self._is_closed = False
@@ -110,9 +110,9 @@ class DaskCluster:
             raise self._lost()
         return self._threads
 
-    def submit(self, entry: ShardEntry, on_images: OnImages) -> "Future[MadeShard]":
+    def submit(self, entry: ShardEntry, on_shard_images: OnShardImages) -> "Future[MadeShard]":
         """Begin a shard on a worker that has room."""
-        self._on_images[entry.file] = on_images
+        self._on_shard_images[entry.file] = on_shard_images
         outcome: Future[MadeShard] = Future()
         task = self._client.submit(make_on_worker, self._name, entry, key=next(self._keys), pure=False)
         task.add_done_callback(partial(self._begin_arrival, outcome))
@@ -146,8 +146,8 @@ class DaskCluster:
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
         _, said = event
-        if said.get("shard") in self._on_images:
-            self._on_images[said["shard"]](said["images"])
+        if said.get("shard") in self._on_shard_images:
+            self._on_shard_images[said["shard"]](said["images"])
 
     def _lost(self) -> ClusterError:
         return ClusterError(

@@ -55,14 +55,14 @@ class ShardMakers(WorkerPlugin):
         """Make a shard, telling the client of its images."""
         told_at = 0.0
 
-        def on_images(images: int) -> None:
+        def on_shard_images(images: int) -> None:
             nonlocal told_at
             if time.monotonic() - told_at >= _TELL_SECONDS:
                 told_at = time.monotonic()
                 worker.log_event(self.name, {"shard": entry.file, "images": images})
 
         try:
-            made = self._makers.make(entry, on_images)
+            made = self._makers.make(entry, on_shard_images)
         except RendererCrashedError as error:
             error.worker = worker.address
             raise

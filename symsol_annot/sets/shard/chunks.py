@@ -64,7 +64,7 @@ def fletcher32(data: bytes) -> int:
 
 
 class ByteFile:
-    """A file that is open for reading, from any thread and in forked processes; closed once nobody holds it."""
+    """A file that is open for reading, from any thread and in forked processes; closed once nothing refers to it."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = open_regular(path)
@@ -76,7 +76,7 @@ class ByteFile:
         return _identity(self._descriptor)
 
     def close(self) -> None:
-        """Close the file at once, which nobody else may be reading from."""
+        """Close the file at once, from which no other thread may be reading."""
         self._descriptor = -1
         self._end()
 

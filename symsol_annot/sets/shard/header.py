@@ -1,15 +1,22 @@
 """What a shard says of itself: its file's name, its attributes, and the names of its data sets."""
 
 import json
+import math
 from dataclasses import dataclass
 from typing import Any
 
+from symsol_annot.sets.settings import ImportedSettings, RenderedSettings, SetSettings
+
 SHARD_FORMAT = "symsol-annot shard"
 SHARD_FORMAT_VERSION = 1
-IMAGE_DATASETS = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask")  # one row an image
-UNKNOWN_WHERE_IMPORTED = ("object_sha256", "seed", "render", "tolerance_px")  # of a header, and of a set's recipe
+IMAGE_DATASETS = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask")  # one row per image
+GROUP = "symmetry_group"  # one for all images
+ROW_PER_CHUNK = ("image", "segmentation")  # of the others, all rows are one chunk
 DATASETS_NOT_IMPORTED = ("segmentation", "marking_pixels")
-_ATTRIBUTES_NOT_IMPORTED = (*UNKNOWN_WHERE_IMPORTED, "engine", "candidates_drawn", "candidates_within_tolerance")
+_ATTRIBUTES_NOT_IMPORTED = (
+    *("object_sha256", "seed", "render", "engine", "tolerance_px"),
+    *("candidates_drawn", "candidates_within_tolerance"),
+)
 MAX_IMAGES_PER_SHARD = 500
 _ATTRIBUTES = {
     "format": "text",
@@ -33,50 +40,39 @@ ALL_ATTRIBUTES = {**_ATTRIBUTES, **_SOURCE}  # name to kind, of rendered and imp
 
 @dataclass(frozen=True)
 class ShardHeader:
-    """A shard's attributes: all that is needed to make it again; None where that is not known, in imported shards.
+    """What a shard says of itself: with the settings of its set, all that is needed to make it again.
 
     Attributes:
-        object: the object's name.
-        object_sha256: its digest.
+        settings: of the set.
         split: "train" or "test".
         first_index: the index within the split of the shard's first image.
-        seed: the set's.
-        camera: as `Camera.to_dict`.
-        render: as `RenderSettings.to_dict`.
-        tolerance_px: the object's T; NaN without a marking.
-        versions: the software that decides the bytes.
-        source: where an imported shard is from; None for a rendered one.
+        versions: the software that decides the bytes: name to version.
     """
 
-    object: str
-    object_sha256: str | None
+    settings: SetSettings
     split: str
     first_index: int
-    seed: int | None
-    camera: dict[str, Any]
-    render: dict[str, Any] | None
-    tolerance_px: float | None
     versions: dict[str, str]
-    source: dict[str, Any] | None = None
 
     def to_attributes(self) -> dict[str, Any]:
-        """Return the HDF5 attributes; what is not known has none."""
-        attributes = {
-            "format": SHARD_FORMAT,
-            "format_version": SHARD_FORMAT_VERSION,
-            "object": self.object,
-            "object_sha256": self.object_sha256,
-            "split": self.split,
-            "first_index": self.first_index,
-            "seed": self.seed,
-            "camera": json.dumps(self.camera, sort_keys=True),
-            "render": self.render and json.dumps(self.render, sort_keys=True),
-            "engine": self.render and self.render["engine"],
-            "tolerance_px": self.tolerance_px,
-            "versions": json.dumps(self.versions, sort_keys=True),
-            "source": self.source and json.dumps(self.source, sort_keys=True),
+        """Return the HDF5 attributes, in the order in which they are written; what is not known has none."""
+        settings = self.settings
+        start = {"format": SHARD_FORMAT, "format_version": SHARD_FORMAT_VERSION, "object": settings.object}
+        place = {"split": self.split, "first_index": self.first_index}
+        versions = {"versions": _as_text(self.versions)}
+        if isinstance(settings, ImportedSettings):
+            known = {"camera": _as_text(settings.camera_to_json())}
+            return {**start, **place, **known, **versions, "source": _as_text(settings.source.to_json())}
+        if not isinstance(settings, RenderedSettings):
+            raise TypeError(f"expected the settings of a rendered or an imported set, found {type(settings).__name__}")
+        drawing = {
+            "seed": settings.seed,
+            "camera": _as_text(settings.camera.to_dict()),
+            "render": _as_text(settings.render.to_dict()),
+            "engine": settings.render.engine,
+            "tolerance_px": math.nan if settings.tolerance_px is None else settings.tolerance_px,
         }
-        return {name: value for name, value in attributes.items() if value is not None}
+        return {**start, "object_sha256": settings.object_sha256, **place, **drawing, **versions}
 
 
 def attribute_kinds(*, is_imported: bool) -> dict[str, str]:
@@ -94,3 +90,7 @@ def shard_file_name(split: str, number: int, shards: int) -> str:
 def content_heading(name: str, dtype: str, shape: tuple[int, ...]) -> bytes:
     """Return what precedes the values of a data set in the digest of a shard's contents."""
     return f"{name} {dtype} {shape}\n".encode()
+
+
+def _as_text(values: dict[str, Any]) -> str:
+    return json.dumps(values, sort_keys=True)

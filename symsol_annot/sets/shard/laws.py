@@ -1,11 +1,10 @@
-"""What the labels of a shard must obey, whoever signed it: rotations, a group, R_gt in every set, the one rule's sets.
+"""What the labels of a shard must obey, whatever its checksums say: rotations, a group, R_gt in every set, the rule.
 
 `load` refuses a shard that breaks a law, `verify` lists all that it breaks.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -13,75 +12,66 @@ import numpy.typing as npt
 from symsol_annot.errors import first_of
 from symsol_annot.rotations.group_laws import check_group, right_products
 from symsol_annot.rotations.so3 import ORTHONORMAL_TOLERANCE, rotation_deviation
-from symsol_annot.sets.shard.reader import GROUP, Shard
+from symsol_annot.sets.shard.reader import Shard, ShardLabels
 
 Flags = npt.NDArray[np.bool_]
-LabelArrays = Mapping[str, npt.NDArray[Any]]
 _LISTED_ROWS = 5
 _PRODUCT_TOLERANCE = 1e-6
 _IMPORTED_PRODUCT_TOLERANCE = 2e-4  # whose groups come from float32
 
 
-def labels_of(shard: Shard) -> dict[str, npt.NDArray[Any]]:
-    """Return a shard's labels by name: rotation, symmetry_group, and what there is of marking_pixels, symmetry_mask.
+def label_faults(shard: Shard, labels: ShardLabels) -> Iterator[str]:
+    """Yield what the labels of no image set can be, one line each.
 
-    Raises:
-        DataError: one is damaged.
+    Args:
+        shard: whose they are; its arrays are not read.
+        labels: as `Shard.labels` gives them.
     """
-    names = ("rotation", "marking_pixels", "symmetry_mask", GROUP)
-    return {name: shard.read(name) for name in names if name in shard.arrays}
-
-
-def label_faults(shard: Shard, labels: LabelArrays) -> Iterator[str]:
-    """Yield what the labels of no image set can be, whatever its checksums say."""
 
     def images(bad: Flags) -> str:
-        first = int(shard.attributes["first_index"])
-        return f"image {first_of([str(first + int(row)) for row in np.flatnonzero(bad)], _LISTED_ROWS)}"
+        return f"image {first_of([str(shard.first_index + int(row)) for row in np.flatnonzero(bad)], _LISTED_ROWS)}"
 
-    no_rotation = ~(rotation_deviation(labels["rotation"]) <= ORTHONORMAL_TOLERANCE)
+    no_rotation = ~(rotation_deviation(labels.rotation) <= ORTHONORMAL_TOLERANCE)
     if no_rotation.any():
         yield f"rotation: {images(no_rotation)}: is no rotation (R^T R = I, det R = 1 to {ORTHONORMAL_TOLERANCE:g})"
-    if not shard.is_imported:
-        pixels = labels["marking_pixels"]
+    if labels.marking_pixels is not None:
+        pixels = labels.marking_pixels
         no_area = ~(np.isfinite(pixels) & (pixels >= 0))
         if no_area.any():
             yield f"marking_pixels: {images(no_area)}: is no area"
     tolerance = _IMPORTED_PRODUCT_TOLERANCE if shard.is_imported else _PRODUCT_TOLERANCE
-    faults = check_group(labels[GROUP], tolerance).faults
+    faults = check_group(labels.symmetry_group, tolerance).faults
     yield from (f"symmetry_group: {fault}" for fault in faults)
-    if "symmetry_mask" not in labels:
+    if labels.symmetry_mask is None:
         return
-    has_own = labels["symmetry_mask"][:, 0]
+    has_own = labels.symmetry_mask[:, 0]
     if not has_own.all():
         yield f"symmetry_mask: {images(~has_own)}: the set lacks R_gt, the image's own rotation"
     elif not faults:
-        tolerance_px = float(shard.attributes.get("tolerance_px", math.nan))
-        yield from _mask_faults(labels, tolerance_px, tolerance, images)
+        yield from _mask_faults(labels, labels.symmetry_mask, shard.tolerance_px, tolerance, images)
 
 
 def _mask_faults(
-    labels: LabelArrays, tolerance_px: float, product_tolerance: float, images: Callable[[Flags], str]
+    labels: ShardLabels, mask: Flags, tolerance_px: float, product_tolerance: float, images: Callable[[Flags], str]
 ) -> Iterator[str]:
     """Yield why sets, each with its R_gt, are not the one rule's over a group."""
-    mask = labels["symmetry_mask"]
-    if math.isnan(tolerance_px):
+    if labels.marking_pixels is None or math.isnan(tolerance_px):
         if not mask.all():
             yield f"symmetry_mask: {images(~mask.all(axis=1))}: a body without marking has its whole group"
         return
-    shown = labels["marking_pixels"] >= tolerance_px
+    shown = labels.marking_pixels >= tolerance_px
     if not shown.any():
         return
     stabiliser = mask[shown][0]
     if (mask[shown] != stabiliser).any():
         yield "symmetry_mask: images that show the marking have different sets, expected the stabiliser in each"
         return
-    check = check_group(labels[GROUP][stabiliser], product_tolerance)
+    check = check_group(labels.symmetry_group[stabiliser], product_tolerance)
     if check.faults:
         yield f"symmetry_mask: the set of images that show the marking: {check.faults[0]}"
         return
     for generator in np.flatnonzero(stabiliser)[check.generators]:
-        torn = (mask[:, right_products(labels[GROUP], int(generator))] != mask).any(axis=1)
+        torn = (mask[:, right_products(labels.symmetry_group, int(generator))] != mask).any(axis=1)
         if torn.any():
             yield (
                 f"symmetry_mask: {images(torn)}: the set lacks a rotation that differs from a member by one that maps "

@@ -1,4 +1,4 @@
-"""The HDF5 shard, opened safely: a stranger's file is held against docs/format.md before anything of it is read.
+"""The HDF5 shard, opened safely: a file of unknown origin is held against docs/format.md before it is read.
 
 HDF5 sees the file in a child process alone, which says what the file is and where its chunks lie. The bytes of the
 chunks are read here, from the file itself.
@@ -8,6 +8,7 @@ import atexit
 import contextlib
 import hashlib
 import json
+import math
 import os
 import threading
 from collections.abc import Iterator, Mapping
@@ -20,32 +21,41 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DamageError, DataError, bulleted
-from symsol_annot.objects.spec import MAX_GROUP_ORDER
-from symsol_annot.rendering.scene import SIZE_RANGE
-from symsol_annot.sets.shard.chunks import DEFLATE, FLETCHER32, ByteFile, Place, StoredArray, largest_chunk
+from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.shard.chunks import ByteFile, StoredArray
 from symsol_annot.sets.shard.header import (
     ALL_ATTRIBUTES,
-    DATASETS_NOT_IMPORTED,
+    GROUP,
     IMAGE_DATASETS,
-    MAX_IMAGES_PER_SHARD,
-    SHARD_FORMAT,
-    SHARD_FORMAT_VERSION,
-    attribute_kinds,
+    ROW_PER_CHUNK,
     content_heading,
 )
-from symsol_annot.system.sandbox.hdf5_process import DatasetFacts, Description, Hdf5Process, Limits
+from symsol_annot.sets.shard.structure import shown, structure_of
+from symsol_annot.system.sandbox.hdf5_process import Description, Hdf5Process, Limits
 
-GROUP = "symmetry_group"
-ROW_PER_CHUNK = ("image", "segmentation")
 _LIMITS = Limits(seconds=60.0, processor_seconds=2.0, memory_bytes=2**30)  # a good shard takes 0.01 s
-_FILTERS = (DEFLATE, FLETCHER32)
-_IN_WORDS = {"text": "a string", "whole": "a whole number", "real": "a number"}
-_SHOWN_CHARACTERS = 80
+
+
+@dataclass(frozen=True, eq=False)
+class ShardLabels:
+    """What a shard says of its N images, without the images.
+
+    Attributes:
+        rotation: (N, 3, 3) f8, R_m2c.
+        symmetry_group: (G, 3, 3) f8, the body's symmetries.
+        marking_pixels: (N,) f4, the marking's visible area in pixels; None in an imported shard.
+        symmetry_mask: (N, G) bool, which of the symmetries are in each image's set; None without symmetry sets.
+    """
+
+    rotation: Rotations
+    symmetry_group: Rotations
+    marking_pixels: npt.NDArray[np.float32] | None
+    symmetry_mask: npt.NDArray[np.bool_] | None
 
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """An open shard whose structure is the format's; what its arrays hold is for `shard_laws` to say.
+    """An open shard whose structure is the format's; what its arrays hold is for `laws` to say.
 
     Attributes:
         path: of the file.
@@ -73,6 +83,61 @@ class Shard:
         return "symmetry_mask" in self.arrays
 
     @property
+    def first_index(self) -> int:
+        """The index within the split of the shard's first image."""
+        return int(self.attributes["first_index"])
+
+    @property
+    def tolerance_px(self) -> float:
+        """The object's T in pixels; NaN without a marking and in an imported shard."""
+        return float(self.attributes.get("tolerance_px", math.nan))
+
+    @property
+    def candidates_drawn(self) -> int:
+        """Of how many candidates the marking's area was needed; 0 in an imported shard."""
+        return int(self.attributes.get("candidates_drawn", 0))
+
+    @property
+    def candidates_within_tolerance(self) -> int:
+        """Of how many of these candidates it was below the tolerance but not 0; 0 in an imported shard."""
+        return int(self.attributes.get("candidates_within_tolerance", 0))
+
+    @property
+    def image(self) -> StoredArray:
+        """The images, (N, H, W, 3) u8 RGB, to be read row by row."""
+        return self.arrays["image"]
+
+    @property
+    def segmentation(self) -> StoredArray | None:
+        """The segmentations, (N, H, W) u8, to be read row by row; None in an imported shard."""
+        return self.arrays.get("segmentation")
+
+    def labels(self) -> ShardLabels:
+        """Read the labels of all images.
+
+        Raises:
+            DataError: one is damaged.
+        """
+        rotation, pixels, mask, group = (
+            self.read(name) if name in self.arrays else None
+            for name in ("rotation", "marking_pixels", "symmetry_mask", GROUP)
+        )
+        return ShardLabels(np.asarray(rotation), np.asarray(group), pixels, mask)
+
+    def segmentations(self) -> Iterator[npt.NDArray[np.uint8]]:
+        """Yield the segmentation (H, W) of each image; none in an imported shard.
+
+        Raises:
+            DataError: one is damaged.
+        """
+        return self.rows("segmentation") if "segmentation" in self.arrays else iter(())
+
+    @property
+    def versions_text(self) -> str:
+        """The software that it was made with, as it stands in the file."""
+        return str(self.attributes["versions"])
+
+    @property
     def versions(self) -> dict[str, str]:
         """The software that it was made with: name to version.
 
@@ -80,7 +145,7 @@ class Shard:
             DataError: the attribute is no JSON object of texts.
         """
         try:
-            found = json.loads(self.attributes["versions"])
+            found = json.loads(self.versions_text)
         except (ValueError, RecursionError):
             found = None
         if not isinstance(found, dict) or not all(isinstance(version, str) for version in found.values()):
@@ -146,7 +211,7 @@ def open_shard(path: Path) -> Iterator[Shard]:
 
 
 def opened_shard(path: Path, sha256: str | None = None, size: int | None = None) -> Shard:
-    """Return the same without a `with` block: its file is closed once nobody holds it, or at an error.
+    """Return a shard that was opened as by `open_shard`; its file is closed once nothing refers to it, or at an error.
 
     Args:
         path: of the file.
@@ -166,7 +231,7 @@ def opened_shard(path: Path, sha256: str | None = None, size: int | None = None)
             raise DataError(f"{path}: {fault}") from None
         if described.identity != file.identity:
             raise DataError(f"{path}: was replaced while it was opened; try again")
-        faults, arrays = _structure(described, file.identity[2])
+        faults, arrays = structure_of(described, file.identity[2])
         if faults:
             raise DataError(f"{path}: is no valid shard:\n" + bulleted(faults))
         at_an_error.pop_all()
@@ -177,7 +242,7 @@ def header_mismatches(shard: Shard, expected: dict[str, Any]) -> list[str]:
     """Say which attributes of a shard are not the expected ones, as `ShardHeader.to_attributes` names them."""
     found = shard.attributes
     return [
-        f"attribute {name!r}: expected {value!r}, found {_shown(found.get(name))}"
+        f"attribute {name!r}: expected {value!r}, found {shown(found.get(name))}"
         for name, value in expected.items()
         if found.get(name) != value and not (value != value and _is_nan(found.get(name)))  # noqa: PLR0124 - NaN
     ]
@@ -215,7 +280,7 @@ class _Describer:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process: Hdf5Process | None = None
-        self._inherited: list[Hdf5Process] = []  # kept, so that nobody waits for another process's child
+        self._inherited: list[Hdf5Process] = []  # kept, so that no process waits for the child of another one
 
     def describe(self, path: Path) -> Description:
         """Return what a file is, and where the chunks of its data sets lie.
@@ -225,7 +290,7 @@ class _Describer:
         """
         with self._lock:
             process, self._process = self._process, None
-            if process and process.has_ended:  # somebody else ended it: no fault of this file's
+            if process and process.has_ended:  # it was ended from outside: no fault of this file
                 process.close()
                 process = None
             process = process or Hdf5Process(_LIMITS)
@@ -255,134 +320,6 @@ _DESCRIBER = _Describer()
 atexit.register(_DESCRIBER.close)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_DESCRIBER.forget)
-
-
-def _structure(described: Description, file_bytes: int) -> tuple[list[str], dict[str, StoredArray]]:
-    """Return what keeps a file from being a shard, and its arrays, which are all there where nothing does."""
-    faults = _format_faults(described)
-    if faults:
-        return faults, {}
-    is_imported = "source" in (described.attributes.keys() | described.odd_attributes.keys())
-    faults = _attribute_faults(described, is_imported=is_imported)
-    faults += _name_faults(described.datasets, is_imported=is_imported)
-    if faults:
-        return faults, {}
-    arrays = {}
-    for name, (shape, dtype) in _expected_arrays(described, is_imported=is_imported).items():
-        facts = described.datasets.get(name)
-        found = _dataset_faults(name, facts, shape, dtype)
-        if facts and not found:
-            rows_per_chunk = 1 if name in ROW_PER_CHUNK else shape[0]
-            arrays[name] = StoredArray(name, shape, dtype, rows_per_chunk, _in_order(facts.places))
-            found = _place_faults(arrays[name], facts.places, file_bytes)
-        faults += found
-    return faults, arrays
-
-
-def _format_faults(described: Description) -> list[str]:
-    for name, expected in (("format", SHARD_FORMAT), ("format_version", SHARD_FORMAT_VERSION)):
-        found = described.attributes.get(name)
-        if name == "format_version" and type(found) is int and found > SHARD_FORMAT_VERSION:
-            return [f"is of format version {found}, newer than {expected}, which this symsol-annot reads: update it"]
-        if type(found) is not type(expected) or found != expected:
-            odd = described.odd_attributes.get(name)
-            return [f"attribute {name!r}: this version reads {expected}, found {odd or _shown(found)}"]
-    return []
-
-
-def _attribute_faults(described: Description, *, is_imported: bool) -> list[str]:
-    expected, kind_of = attribute_kinds(is_imported=is_imported), "an imported shard" if is_imported else "the format"
-    found, odd = described.attributes, described.odd_attributes
-    faults = [
-        f"attribute {name!r} is {odd.get(name, 'missing')}, where {_IN_WORDS[kind]} belongs"
-        for name, kind in expected.items()
-        if name not in found
-    ]
-    faults += [f"attribute {_shown(name)} is not part of {kind_of}" for name in (*found, *odd) if name not in expected]
-    return faults or _camera_faults(found["camera"])
-
-
-def _camera_faults(text: str) -> list[str]:
-    try:
-        camera = json.loads(text)
-        is_camera = all(type(camera[side]) is int and 0 < camera[side] <= SIZE_RANGE[1] for side in ("width", "height"))
-    except (KeyError, TypeError, ValueError, RecursionError):
-        is_camera = False
-    return [] if is_camera else [f"attribute 'camera' is no JSON with width and height: {_shown(text)}"]
-
-
-def _name_faults(datasets: Mapping[str, DatasetFacts], *, is_imported: bool) -> list[str]:
-    faults = []
-    for name, facts in datasets.items():
-        if name not in (*IMAGE_DATASETS, GROUP):
-            faults.append(f"{_shown(name)} is not part of the format")
-        elif is_imported and name in DATASETS_NOT_IMPORTED:
-            faults.append(f"{name!r} is not part of an imported shard")
-        elif facts.found:
-            faults.append(f"{name!r} is {facts.found}, where a data set in this file belongs")
-    return faults
-
-
-def _expected_arrays(described: Description, *, is_imported: bool) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Return shape and type of each data set, given how many images and symmetries there are."""
-    camera = json.loads(described.attributes["camera"])
-    size = (camera["height"], camera["width"])
-    count, order = (_rows_of(described.datasets.get(name)) for name in ("rotation", GROUP))
-    expected: dict[str, tuple[tuple[int, ...], str]] = {
-        "image": ((count, *size, 3), "|u1"),
-        "segmentation": ((count, *size), "|u1"),
-        "rotation": ((count, 3, 3), "<f8"),
-        "marking_pixels": ((count,), "<f4"),
-        "symmetry_mask": ((count, order), "|b1"),
-        GROUP: ((order, 3, 3), "<f8"),
-    }
-    left_out = set(DATASETS_NOT_IMPORTED) if is_imported else set()
-    left_out |= {"symmetry_mask"} - described.datasets.keys()
-    return {name: what for name, what in expected.items() if name not in left_out}
-
-
-def _rows_of(facts: DatasetFacts | None) -> int:
-    return facts.shape[0] if facts and facts.shape else 0
-
-
-def _dataset_faults(name: str, facts: DatasetFacts | None, shape: tuple[int, ...], dtype: str) -> list[str]:
-    if facts is None:
-        return [f"data set {name!r} is missing"]
-    most = 2 * MAX_GROUP_ORDER if name == GROUP else MAX_IMAGES_PER_SHARD
-    if not 0 < shape[0] <= most or 0 in shape or (name == "symmetry_mask" and shape[1] > 2 * MAX_GROUP_ORDER):
-        return [f"{name!r}: its shape {facts.shape} is beyond the format's limits: 1 to {most} rows"]
-    if facts.shape != shape or facts.exact_type != dtype:
-        found = facts.exact_type or f"{facts.dtype} in another order of bytes or bits"
-        return [f"{name!r}: expected {dtype} of shape {shape}, found {found} of shape {facts.shape}"]
-    if facts.filters != _FILTERS:
-        return [f"{name!r}: expected the filters gzip and fletcher32, found those of the numbers {facts.filters}"]
-    if facts.chunks != (1 if name in ROW_PER_CHUNK else shape[0], *shape[1:]):
-        expected = "one row per chunk" if name in ROW_PER_CHUNK else "all rows in one chunk"
-        return [f"{name!r}: expected {expected}, found {facts.chunks or 'no chunks'}"]
-    return []
-
-
-def _in_order(places: npt.NDArray[np.uint64]) -> tuple[Place, ...]:
-    return tuple(Place(int(offset), int(size)) for _, offset, size, _ in places[np.argsort(places[:, 0])])
-
-
-def _place_faults(array: StoredArray, places: npt.NDArray[np.uint64], file_bytes: int) -> list[str]:
-    """Say where the index of chunks is damaged: HDF5 would give zeros, other rows or all memory."""
-    rows = np.arange(0, array.shape[0], array.rows_per_chunk, dtype=np.uint64)
-    if not np.array_equal(np.sort(places[:, 0]), rows):
-        return [f"{array.name!r}: the file's index is damaged: a chunk is missing, or there twice"]
-    if places[:, 3].any():
-        return [f"{array.name!r}: the file's index is damaged: a chunk lacks filters"]
-    values_bytes = array.rows_per_chunk * int(np.prod(array.shape[1:])) * np.dtype(array.dtype).itemsize
-    is_outside = any(offset + size > file_bytes or size <= 4 for offset, size in array.places)
-    if is_outside or max(size for _, size in array.places) > largest_chunk(values_bytes):
-        return [f"{array.name!r}: the file's index is damaged: a chunk lies outside the file, or is too large"]
-    return []
-
-
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
 
 
 def _is_nan(value: Any) -> bool:

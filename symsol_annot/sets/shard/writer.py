@@ -13,8 +13,9 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.rendering.scene import View
+from symsol_annot.rendering.renderer import View
 from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.settings import RenderedSettings
 from symsol_annot.sets.shard.chunks import GZIP_LEVEL, deflate_version, inflated, stored
 from symsol_annot.sets.shard.header import ShardHeader, content_heading
 from symsol_annot.system.closing import Closing
@@ -27,13 +28,13 @@ class ImageRecord:
     Attributes:
         view: the picture and its segmentation.
         R_m2c: (3, 3) the rotation it was drawn at.
-        marking_pixels: as `annotate.coset_marking_px` gives it.
+        coset_px: the marking's area in pixels, as `Annotator.coset_px` gives it; its key is marking_pixels.
         symmetry_mask: (G,) bool, or None in a split without annotation.
     """
 
     view: View
     R_m2c: Rotations
-    marking_pixels: float
+    coset_px: float
     symmetry_mask: npt.NDArray[np.bool_] | None
 
 
@@ -53,12 +54,12 @@ class ShardWriter(Closing):
         self._file = h5py.File(in_memory, "w", driver="core", backing_store=False, libver=("earliest", "v108"))
         self._count, self._written = count, 0
         self._file.attrs.update(header.to_attributes())
-        size = (header.camera["height"], header.camera["width"])
-        self._image = self._create("image", (count, *size, 3), "u1", chunk_rows=1)
+        width, height = header.settings.image_size
+        self._image = self._create("image", (count, height, width, 3), "u1", chunk_rows=1)
         self._segmentation = None
         self._labels = {"rotation": np.zeros((count, 3, 3))}
-        if header.source is None:
-            self._segmentation = self._create("segmentation", (count, *size), "u1", chunk_rows=1)
+        if isinstance(header.settings, RenderedSettings):
+            self._segmentation = self._create("segmentation", (count, height, width), "u1", chunk_rows=1)
             self._labels["marking_pixels"] = np.zeros(count, dtype="f4")
         if annotated:
             self._labels["symmetry_mask"] = np.zeros((count, len(symmetry_group)), dtype=bool)
@@ -71,7 +72,7 @@ class ShardWriter(Closing):
         row = self._written
         self.add_imported(record.view.rgb, record.R_m2c, record.symmetry_mask)
         self._segmentations.append(_store(self._segmentation, row, record.view.segmentation[None]))
-        self._labels["marking_pixels"][row] = record.marking_pixels
+        self._labels["marking_pixels"][row] = record.coset_px
 
     def add_imported(self, rgb: npt.NDArray[np.uint8], R: Rotations, mask: npt.NDArray[np.bool_] | None) -> None:
         """Append one image (H, W, 3) of which nothing is known but its rotation (3, 3) and its set (G,), if that."""

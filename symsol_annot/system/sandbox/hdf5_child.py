@@ -1,4 +1,4 @@
-"""Reading a stranger's HDF5 file in a process of its own: the program that `sandbox.py` starts.
+"""Reading an HDF5 file of unknown origin in a process of its own: the program that `hdf5_process.py` starts.
 
 HDF5 itself crashes or loops on some damaged files, so this process has a limit on memory and two on the time of each
 request, and its death is a message in the parent. It describes a file without reading a data set, and then says where
@@ -8,8 +8,8 @@ hold only one open.
 It imports nothing of this package, so that it starts fast. Requests are lines of JSON on standard input:
 
     {"open": PATH}                              describe a file; the one that was open before is closed
-    {"open": PATH, "attributes": {NAME: KIND}}  the same, and close it: only these attributes are read, data sets may be
-                                                booleans, and where chunks lie is told, as in `_chunks`
+    {"open": PATH, "attributes": {NAME: KIND}}  describe a file and close it: only these attributes are read, data sets
+                                                may be booleans, and where chunks lie is told, as in `_chunks`
     {"dataset": NAME, "start": N, "stop": N}    rows
 
 An answer is the length of a JSON header (8 bytes, little-endian), the header, and the bytes that it announces.
@@ -31,7 +31,7 @@ MAX_LINKS = 64
 MAX_ATTRIBUTES = 64
 MAX_ATTRIBUTE_BYTES = 65536
 MAX_CHUNKS = 2**12  # of a data set whose places are told
-MAX_TEXT = 200  # of a name or of HDF5's words that goes on to a person
+MAX_TEXT = 200  # characters of a name, or of HDF5's words, that a message shows
 CHUNK_CACHE_BYTES = 2**28
 _KINDS = {
     h5py.h5t.STRING: "strings",

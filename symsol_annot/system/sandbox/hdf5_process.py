@@ -1,4 +1,4 @@
-"""A stranger's HDF5 file, opened in a child process with limits on time and memory (`hdf5_child.py`)."""
+"""An HDF5 file of unknown origin, opened in a child process with limits on time and memory (`hdf5_child.py`)."""
 
 import contextlib
 import json
@@ -53,7 +53,7 @@ class DatasetFacts:
             then meaningless.
         shape: of the data set.
         dtype: numpy's name of its type, in little-endian order.
-        exact_type: the same where the bytes in the file are numpy's own; else empty.
+        exact_type: numpy's name of its type where the bytes in the file are numpy's own; else empty.
         filters: the HDF5 numbers of its filters.
         chunks: the shape of a chunk; None for a contiguous data set.
         chunk_bytes: the size of one chunk, 0 for a contiguous data set.

@@ -1,4 +1,4 @@
-"""Markdown's edge: words from files become text on a page, whatever somebody wrote into them."""
+"""Markdown's edge: words from files become text on a page, whatever markup they contain."""
 
 import re
 

@@ -1,9 +1,9 @@
 """TOML tables as dataclasses: each key has the type of its field, and all faults are told at once."""
 
 import datetime as dt
-from collections.abc import Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
 
@@ -12,18 +12,26 @@ _SHOWN_CHARACTERS = 100
 _WORDS = {float: "a number", int: "a whole number", dt.date: "a date"}
 
 
+@dataclass(frozen=True)
+class OneOf:
+    """What makes text one of the names of a table: `Annotated[str, OneOf(TABLE)]`, looked up when a value is read."""
+
+    names: Collection[str]
+
+
 def from_table(kind: type[T], table: Mapping[str, Any], what: str) -> tuple[T | None, list[str]]:
     """Return a dataclass whose fields are a table's keys, or None, and the table's faults.
 
-    A field may be a bool, int, float, str, date or Literal, one of them or None, a tuple of one of them, another
-    dataclass, or a mapping from names to one of these.
+    A field may be a bool, int, float, str, date, Literal or OneOf, one of them or None, a tuple of one of them,
+    another dataclass, or a mapping from names to one of these.
 
     Args:
         kind: the dataclass.
         table: as tomllib reads it.
         what: the table is, in words: "a classifier recipe".
     """
-    hints, known = get_type_hints(kind), {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
+    hints = get_type_hints(kind, include_extras=True)
+    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
     faults = [f"{_key(key)}: is no key of {what}; keys are {', '.join(known)}" for key in table if key not in known]
     faults += [f"{name}: is missing" for name, field in known.items() if _is_required(field) and name not in table]
     values = {key: _parsed(table[key], hints[key], key, faults) for key in table if key in known}
@@ -49,8 +57,9 @@ def _parsed(value: Any, hint: Any, where: str, faults: list[str]) -> Any:
             f"{where}: expected a list of {'text' if get_args(hint)[0] is str else 'numbers'}, found {_shown(value)}"
         )
         return ()
-    if origin is Literal:
-        expected, is_right = f"one of {', '.join(get_args(hint))}", value in get_args(hint)
+    if origin in (Literal, Annotated):
+        names = get_args(hint) if origin is Literal else tuple(hint.__metadata__[0].names)
+        expected, is_right = f"one of {', '.join(names)}", value in names
     else:
         kinds = set(get_args(hint) or (hint,)) - {type(None)}
         value = float(value) if float in kinds and type(value) is int else value
@@ -73,12 +82,12 @@ def _parsed_table(value: Any, hint: Any, where: str, faults: list[str]) -> Any:
 
 
 def _shown(value: Any) -> str:
-    """Return a stranger's value for a message: in quotes, with control characters escaped, and short."""
+    """Return a value of unknown origin for a message: in quotes, with control characters escaped, and short."""
     text = repr(value)
     return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
 
 
 def _key(key: str) -> str:
-    """Return a stranger's key for a message: short, and in quotes where it is no plain word."""
+    """Return a key of unknown origin for a message: short, and in quotes where it is no plain word."""
     is_plain = key.isprintable() and len(key) <= _SHOWN_CHARACTERS
     return key if is_plain else _shown(key)

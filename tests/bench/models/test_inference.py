@@ -11,10 +11,12 @@ import torch
 from bench_sets import small_set
 from made_sets import make_set
 
-from symsol_annot.bench.models import inference
 from symsol_annot.bench.models.inference import identity, predict
+from symsol_annot.bench.models.methods.classifier import method as classifier_method
+from symsol_annot.bench.models.methods.hypotheses import method as hypothesis_method
 from symsol_annot.bench.models.recipe import load_recipe
-from symsol_annot.bench.models.training.checkpoints import Checkpoint, TrainingRecord, new_model
+from symsol_annot.bench.models.training.checkpoints import Checkpoint, new_model
+from symsol_annot.bench.models.training.record import TrainingRecord
 from symsol_annot.bench.models.views import in_all_views, probability_in_all_views
 from symsol_annot.bench.predictions.queries import Queries
 from symsol_annot.errors import ModelError, PredictionsError, RotationError
@@ -40,7 +42,7 @@ def test_split(tmp_path_factory):
 
 
 def test_hypotheses_are_the_models_of_each_image(test_split, tmp_path, monkeypatch):
-    monkeypatch.setattr(inference, "_BLOCK", 2)
+    monkeypatch.setattr(hypothesis_method, "_BLOCK", 2)
     given = checkpoint("small-wta")
     assert predict(given, test_split, tmp_path / "preds.h5", CPU) == "hypotheses"
     with h5py.File(tmp_path / "preds.h5") as file:
@@ -79,7 +81,7 @@ def test_a_model_of_another_object_or_size_is_refused(test_split, tmp_path):
 
 
 def test_a_gpu_that_is_too_small_takes_fewer_images_at_once(test_split, tmp_path, monkeypatch):
-    tried, run = [], inference.all_hypotheses
+    tried, run = [], hypothesis_method.all_hypotheses
 
     def hungry(model, images, batch_size):
         tried.append(batch_size)
@@ -87,10 +89,10 @@ def test_a_gpu_that_is_too_small_takes_fewer_images_at_once(test_split, tmp_path
             raise torch.cuda.OutOfMemoryError
         return run(model, images, batch_size)
 
-    monkeypatch.setattr(inference, "all_hypotheses", hungry)
+    monkeypatch.setattr(hypothesis_method, "all_hypotheses", hungry)
     predict(checkpoint("small-wta"), test_split, tmp_path / "preds.h5", CPU)
     assert tried == [64, 32, 16, 8, 4, 2]
-    monkeypatch.setattr(inference, "all_hypotheses", lambda *_: hungry(*_[:2], 64))
+    monkeypatch.setattr(hypothesis_method, "all_hypotheses", lambda *_: hungry(*_[:2], 64))
     with pytest.raises(ModelError, match="does not hold the network and a single image"):
         predict(checkpoint("small-wta"), test_split, tmp_path / "preds.h5", CPU)
 
@@ -103,8 +105,11 @@ every_track = pytest.mark.parametrize("track", MODELS)
 
 def stop(monkeypatch, given, images, path, **options):
     """Predict, and be interrupted at the fourth image."""
-    asked = {"small-wta": "all_hypotheses", "small-classifier": "embedded"}[given.record.name]
-    run, calls = getattr(inference, asked), []
+    module, asked = {
+        "small-wta": (hypothesis_method, "all_hypotheses"),
+        "small-classifier": (classifier_method, "embeddings_of"),
+    }[given.record.name]
+    run, calls = getattr(module, asked), []
 
     def interrupted(*arguments):
         calls.append(1)
@@ -113,8 +118,8 @@ def stop(monkeypatch, given, images, path, **options):
         return run(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(inference, "_BLOCK", 1)
-        patch.setattr(inference, asked, interrupted)
+        patch.setattr(hypothesis_method, "_BLOCK", 1)
+        patch.setattr(module, asked, interrupted)
         with pytest.raises(KeyboardInterrupt):
             predict(given, images, path, CPU, level=0, **options)
 

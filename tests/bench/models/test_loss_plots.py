@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from PIL import Image
 from symsol_annot_cli.plot import plot as plot_command
 
-from symsol_annot.bench.models.networks.losses import (
+from symsol_annot.bench.models.losses import (
     cyclic_cosine_loss,
     geodesic_loss,
     von_mises_loss,

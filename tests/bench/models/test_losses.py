@@ -10,8 +10,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from symsol_annot.bench.models.networks import losses
-from symsol_annot.bench.models.networks.heads import gram_schmidt
+from symsol_annot.bench.models import losses
+from symsol_annot.bench.models.batches import Batch
+from symsol_annot.bench.models.loss_tables import EMBEDDED_LOSSES, META_LOSSES
+from symsol_annot.bench.models.methods.hypotheses.method import HypothesisLearner
+from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.networks.hypothesis_network import gram_schmidt
 from symsol_annot.errors import SettingsError
 from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 
@@ -173,7 +177,7 @@ def test_gradients_of_a_meta_loss_away_from_ties(name):
 
 @pytest.mark.parametrize("name", META)
 @pytest.mark.parametrize("embedded", EMBEDDED)
-def test_every_pair_of_meta_and_embedded_loss_has_a_value_an_image(name, embedded):
+def test_every_pair_of_meta_and_embedded_loss_has_a_value_per_image(name, embedded):
     R_p, R_gt = torch.from_numpy(rotations(24, seed=0)).view(4, 6, 3, 3), torch.from_numpy(rotations(4, seed=1))
     table = EMBEDDED[embedded][0](R_p, R_gt[:, None])
     by_image = torch.stack([META[name](row) for row in table])
@@ -275,3 +279,56 @@ def test_the_classifiers_loss_is_finite_and_right_where_a_logarithm_of_0_would_n
 def test_gradients_of_the_classifiers_loss():
     inputs = (4 * numbers(3) - 2).requires_grad_(), (4 * numbers(3, 5, seed=1) - 2).requires_grad_()
     assert torch.autograd.gradcheck(losses.classification_loss, inputs)
+
+
+# --- the tables ---
+
+BY_NAME = {  # of recipes, with the keys that a recipe needs and what follows from them half way through
+    "wta": (losses.winner_takes_all, {}),
+    "rwta": (partial(losses.relaxed_winner_takes_all, epsilon=0.2), {"epsilon": 0.2}),
+    "ewta": (partial(losses.evolving_winner_takes_all, k=2), {"epochs_to_one": 6, "winners_schedule": "halved"}),
+    "cyclic-cosine": (losses.cyclic_cosine_loss, {}),
+    "von-mises": (
+        partial(losses.von_mises_loss, concentration=2.0),
+        {"concentration_at_first": 1.0, "concentration": 4.0, "epochs_to_concentration": 8},
+    ),
+    "geodesic": (losses.geodesic_loss, {}),
+}
+
+
+class _Given(torch.nn.Module):
+    """A network whose hypotheses are given."""
+
+    def __init__(self, hypotheses):
+        super().__init__()
+        self._hypotheses, self.first_stage = hypotheses, lambda images: images.float()
+
+    def from_embeddings(self, _):
+        return self._hypotheses
+
+
+@pytest.mark.parametrize("embedded", ["cyclic-cosine", "von-mises", "geodesic"])
+@pytest.mark.parametrize("meta", ["wta", "rwta", "ewta"])
+def test_a_recipe_trains_with_the_losses_that_it_names_at_their_values_of_the_moment(meta, embedded):
+    """Half way through 8 epochs k is 2 of 4, and K the geometric mean of 1 and 4."""
+    keys = {"title": "a", "epochs": 8, "batch_size": 2, "learning_rates": (1e-3,), "milestones": ()}
+    (meta_loss, meta_keys), (embedded_loss, embedded_keys) = BY_NAME[meta], BY_NAME[embedded]
+    made = HypothesisRecipe(
+        **keys, hypotheses=4, meta_loss=meta, embedded_loss=embedded, **meta_keys, **embedded_keys, start="random"
+    )
+    assert list(made.faults()) == []
+    hypotheses = torch.from_numpy(rotations(24, seed=0)).view(6, 4, 3, 3)
+    batch = Batch(torch.zeros(6, 2, 2, 3, dtype=torch.uint8), torch.from_numpy(rotations(6, seed=1)))
+    found = HypothesisLearner(made, _Given(hypotheses)).losses(batch, 4.0, torch.Generator())
+    expected = meta_loss(embedded_loss(hypotheses, batch.R_gt[:, None]))
+    torch.testing.assert_close(found, expected, rtol=1e-12, atol=0)
+    told = {"ewta": {"winners": 2}, "von-mises": {"concentration": 2.0}}
+    assert made.figures_at(4.0) == pytest.approx({**told.get(meta, {}), **told.get(embedded, {})})
+
+
+def test_the_tables_name_each_loss_once_with_its_equation():
+    assert [*META_LOSSES, *EMBEDDED_LOSSES] == list(BY_NAME)
+    for name, loss in {**META_LOSSES, **EMBEDDED_LOSSES}.items():
+        assert loss.name == name
+        assert f"(eq. {loss.equation})" in loss.function.__doc__
+    assert EMBEDDED_LOSSES["von-mises"].label(concentration=4.0) == "von Mises, K = 4"

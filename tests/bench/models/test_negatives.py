@@ -6,14 +6,14 @@ import torch
 from made_sets import make_set
 
 from symsol_annot import load_sample
-from symsol_annot.bench.models.recipe import ClassifierRecipe
-from symsol_annot.bench.models.training import data as training_data
+from symsol_annot.bench.models.methods.classifier.method import METHOD
+from symsol_annot.bench.models.methods.classifier.negatives import hard_negatives, random_rotations
+from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.training import batch_sources
+from symsol_annot.bench.models.training.batch_sources import open_batches
 from symsol_annot.bench.models.training.checkpoints import new_model
-from symsol_annot.bench.models.training.data import training_data as batches_of
-from symsol_annot.bench.models.training.learners import learner_of
-from symsol_annot.bench.models.training.negatives import hard_negatives, random_rotations, rejected_candidates
-from symsol_annot.bench.models.training.schedules import scheduled_values_at
-from symsol_annot.bench.models.training.training import Options, train
+from symsol_annot.bench.models.training.loop import Options, train
+from symsol_annot.bench.predictions.truth import HARD_NEGATIVE_RAD
 from symsol_annot.errors import NotAnnotatedError
 from symsol_annot.rotations.so3 import angle_between, rotation_deviation
 from symsol_annot.sets.dataset import load
@@ -47,7 +47,7 @@ def test_random_rotations_are_rotations_all_over():
 def test_rejected_candidates_are_no_members_and_not_within_5_degrees_of_one(name):
     with load_sample(name) as images:
         labels = images.labels()
-    is_rejected = rejected_candidates(labels.symmetry_mask, labels.symmetry_group)
+    is_rejected = labels.rejected_beyond(HARD_NEGATIVE_RAD)
     assert is_rejected.any()
     for i, R in enumerate(labels.rotation[:16]):
         members = labels.symmetry_set(i)
@@ -59,7 +59,7 @@ def test_rejected_candidates_are_no_members_and_not_within_5_degrees_of_one(name
 def test_hard_negatives_are_all_the_rejected_and_random_where_none_are():
     with load_sample("tetX") as images:
         labels = images.labels()
-    is_rejected = rejected_candidates(labels.symmetry_mask, labels.symmetry_group)[:6]
+    is_rejected = labels.rejected_beyond(HARD_NEGATIVE_RAD)[:6]
     is_rejected[2] = False
     R_gt, group = (torch.tensor(R, dtype=torch.float32) for R in (labels.rotation[:6], labels.symmetry_group))
     drawn = hard_negatives(R_gt, torch.from_numpy(is_rejected), group, 200, rng())
@@ -79,11 +79,11 @@ def test_a_classifier_is_asked_about_the_recipe_s_share_of_them(tmp_path, monkey
     with load(make_set(tmp_path, "tetX", train=8, test=1, size=16, annotate="all"), "train") as images:
         labels = images.labels()
         model = new_model(RECIPE, None, 0)
-        learner = learner_of(RECIPE, model, images.symmetry_group)
+        learner = METHOD.learner(RECIPE, model, images.symmetry_group)
         asked, logits = [], model.logits
         monkeypatch.setattr(model, "logits", lambda embeddings, R: asked.append(R) or logits(embeddings, R))
-        (batch, _) = batches_of(images, 4, 0, torch.device("cpu"), with_rejected=True).batches(0)
-        learner.losses(batch, scheduled_values_at(RECIPE, 0), rng())
+        (batch, _) = open_batches(images, 4, 0, torch.device("cpu"), with_rejected=True).batches(0)
+        learner.losses(batch, 0.0, rng())
     (R,) = asked
     assert R.shape == (4, 1 + 8, 3, 3)
     for of_image in R.double().numpy():
@@ -99,8 +99,8 @@ def test_workers_say_the_same_of_an_image_as_memory_does(tmp_path, monkeypatch):
     with load(make_set(tmp_path, "tetX", train=8, test=1, size=16, annotate="all"), "train") as images:
         known = []
         for free in (10**9, 1000):
-            monkeypatch.setattr(training_data, "free_bytes", lambda _, free=free: free)
-            data = batches_of(images, 4, 0, torch.device("cpu"), with_rejected=True)
+            monkeypatch.setattr(batch_sources, "free_bytes", lambda _, free=free: free)
+            data = open_batches(images, 4, 0, torch.device("cpu"), with_rejected=True)
             of_image = {
                 tuple(R.flatten().tolist()): tuple(mask.tolist())
                 for batch in data.batches(0)

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 import torch
 from made_sets import make_set
-from tiny_training import CLASSIFIER, CPU, HYPOTHESES, narrow_backbone
+from tiny_training import CLASSIFIER, CPU, HYPOTHESES
 
+from symsol_annot.bench.models import devices
 from symsol_annot.bench.models.inference import predict
-from symsol_annot.bench.models.training import devices, learners, training
+from symsol_annot.bench.models.methods.classifier.method import ClassifierLearner
+from symsol_annot.bench.models.methods.hypotheses.method import HypothesisLearner
+from symsol_annot.bench.models.training import loop
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint, read_record
-from symsol_annot.bench.models.training.training import train
-from symsol_annot.bench.models.weights.files import read_weights
+from symsol_annot.bench.models.training.loop import train
+from symsol_annot.bench.models.weights.state_dicts import read_weights
 from symsol_annot.sets.dataset import load
 
 torch.set_num_threads(1)
@@ -31,11 +34,11 @@ def _as_on_a_gpu():
     def laid_out_for(device, model):
         return model.to(device, memory_format=torch.channels_last)
 
-    with narrow_backbone(), pytest.MonkeyPatch.context() as patch:
-        for module in (devices, training):
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (devices, loop):
             patch.setattr(module, "has_bfloat16", lambda _: True)
-        patch.setattr(training, "laid_out_for", laid_out_for)
-        patch.setattr(training, "plot_curve", lambda *_: None)
+        patch.setattr(loop, "laid_out_for", laid_out_for)
+        patch.setattr(loop, "plot_curve", lambda *_: None)
         yield
 
 
@@ -100,7 +103,7 @@ def test_going_on_gives_the_weights_of_not_stopping(trained, images, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(RECIPES[name], images, out, CPU, name=name, on_images=stop)
+        train(RECIPES[name], images, out, CPU, name=name, on_batch=stop)
     assert read_record(out / "state.safetensors").epochs_done == 5
     train(RECIPES[name], images, out, CPU, name=name)
     for file in FILES:
@@ -112,7 +115,7 @@ def test_going_on_gives_the_weights_of_not_stopping(trained, images, tmp_path):
 @pytest.mark.parametrize("name", RECIPES)
 def test_training_has_the_backbone_alone_in_16_bits_and_figures_all_in_32(name, images, tmp_path, seen, monkeypatch):
     recipe = replace(RECIPES[name], **({"frozen_epochs": 0} if name == "classifier" else {}))
-    kind = {"hypotheses": learners.HypothesisLearner, "classifier": learners.ClassifierLearner}[name]
+    kind = {"hypotheses": HypothesisLearner, "classifier": ClassifierLearner}[name]
     evaluate, in_training, layouts = kind.evaluate, set(), set()
 
     def evaluated(self, *given):

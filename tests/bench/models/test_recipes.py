@@ -12,17 +12,21 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from tiny_training import NARROW
 
+from symsol_annot.bench.models.kinds import MODEL_KINDS, kind_of
+from symsol_annot.bench.models.loss_tables import concentration_at, winners_at
+from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
 from symsol_annot.bench.models.recipe import (
-    ClassifierRecipe,
-    HypothesisRecipe,
     builtin_recipes,
     load_recipe,
     parse_recipe,
     recipe_from_toml,
     recipe_to_toml,
 )
-from symsol_annot.bench.models.training.schedules import scheduled_values_at
+from symsol_annot.bench.models.validation import FIGURES
+from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.errors import SettingsError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -49,8 +53,8 @@ def recipe(name, of="tet"):
     return load_recipe(name).for_object(of, has_marking=of in MARKED)
 
 
-def schedule(recipe):
-    return [scheduled_values_at(recipe, epoch) for epoch in range(recipe.epochs)]
+def rates_of(recipe):
+    return [recipe.learning_rate_at(epoch) for epoch in range(recipe.epochs)]
 
 
 def changed(text, **keys):
@@ -78,7 +82,7 @@ def test_tables_5_1_and_5_2_have_a_recipe_a_row(name, of):
     assert row.embedded_loss == ("cyclic-cosine" if name.endswith("cosine") else "von-mises")
     assert row.hypotheses == (75 if of == "icosa" else 30)
     assert (row.epsilon, row.concentration) == (0.05, 4.0)
-    rates = [at.learning_rate for at in schedule(row)]
+    rates = rates_of(row)
     expected = {
         (False, False): [1e-3] * 15 + [1e-4] * 10 + [1e-5] * 5,
         (False, True): [1e-3] * 30 + [1e-4] * 5,
@@ -90,7 +94,8 @@ def test_tables_5_1_and_5_2_have_a_recipe_a_row(name, of):
 
 @pytest.mark.parametrize(("of", "epochs_above_one"), [("tet", 20), ("icosa", 20), ("tetX", 30)])
 def test_k_is_halved_until_it_is_one(of, epochs_above_one):
-    k = [at.winners for at in schedule(recipe("ewta-von-mises", of))]
+    made = recipe("ewta-von-mises", of)
+    k = [winners_at(made, epoch) for epoch in range(made.epochs)]
     assert k[0] == (75 if of == "icosa" else 30)
     assert all(later in (earlier, earlier // 2) for earlier, later in pairwise(k))
     assert [number > 1 for number in k] == [epoch < epochs_above_one for epoch in range(len(k))]
@@ -115,20 +120,20 @@ def test_table_7_1_and_figure_7_4_have_a_recipe_a_row(name, differs):
         assert row.batch_size == 32
         first_drop = 4 if name == "classifier-no-pretraining" and of in STARRED else 15
         rates = [1e-3] * first_drop + [1e-4] * (25 - first_drop) + [1e-5] * 5
-        assert [at.learning_rate for at in schedule(row)] == rates
-        assert [at.is_frozen for at in schedule(row)] == [True] * 4 + [False] * 26
+        assert rates_of(row) == rates
+        assert [row.is_frozen_at(epoch) for epoch in range(30)] == [True] * 4 + [False] * 26
 
 
 def test_the_future_work_has_recipes_in_which_one_thing_is_new():
     annealed, smooth = recipe("ewta-von-mises-annealed"), recipe("ewta-von-mises-smooth")
-    K = [scheduled_values_at(annealed, epoch / 4).concentration for epoch in range(4 * annealed.epochs)]
+    K = [concentration_at(annealed, epoch / 4) for epoch in range(4 * annealed.epochs)]
     assert (K[0], K[-1]) == (0.5, 4.0)
     assert all(earlier <= later < 1.1 * earlier for earlier, later in pairwise(K))
-    k = [scheduled_values_at(smooth, epoch / 50).winners for epoch in range(50 * smooth.epochs)]
+    k = [winners_at(smooth, epoch / 50) for epoch in range(50 * smooth.epochs)]
     assert (k[0], k[50 * smooth.epochs_to_one - 1], k[-1]) == (30, 1, 1)
     assert set(k) == set(range(1, 31))
     assert k == sorted(k, reverse=True)
-    assert schedule(annealed)[3].winners == schedule(recipe("ewta-von-mises"))[3].winners
+    assert winners_at(annealed, 3) == winners_at(recipe("ewta-von-mises"), 3)
 
 
 def test_the_small_tier_starts_at_random_and_says_so():
@@ -178,7 +183,7 @@ def test_the_recipes_are_in_the_wheel(tmp_path):
     subprocess.run([sys.executable, "-c", code, tmp_path], cwd=copy, capture_output=True, check=True)
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as content:
-        found = [Path(name).stem for name in content.namelist() if "/bench/recipes/" in name]
+        found = [Path(name).stem for name in content.namelist() if "/models/recipes/" in name]
     assert sorted(found) == builtin_recipes()
 
 
@@ -202,6 +207,23 @@ def test_an_objects_own_keys_come_before_those_of_marked_objects():
     assert [(one.epochs, one.batch_size) for one in found] == [(10, 8), (20, 16), (20, 32)]
 
 
+def test_a_backbone_is_a_key_that_is_left_out_where_it_is_the_default():
+    plain, narrow = (parse_recipe(changed(GOOD, backbone=name), "mine.toml") for name in (None, f'"{NARROW.name}"'))
+    by_default, with_narrow = (file.for_object("tet", has_marking=False) for file in (plain, narrow))
+    assert (by_default.backbone, with_narrow.backbone) == ("resnet18", NARROW.name)
+    assert "backbone" not in recipe_to_toml(by_default)
+    assert recipe_from_toml(recipe_to_toml(with_narrow), "a checkpoint") == with_narrow
+
+
+@pytest.mark.parametrize("kind", MODEL_KINDS.values(), ids=MODEL_KINDS)
+def test_a_kind_of_model_is_found_by_its_recipes_and_its_figures_are_the_scorers(kind):
+    made = recipe({"hypotheses": "wta-cosine", "classifier": "classifier"}[kind.name])
+    assert kind_of(made) is kind
+    assert recipe_to_toml(made).startswith(f'model = "{kind.name}"\n')
+    assert kind.best_by in FIGURES
+    assert kind.track in TRACKS
+
+
 # --- refusals ---
 
 
@@ -218,6 +240,13 @@ def test_a_name_that_is_none_is_refused_with_those_that_are():
         ({"batch_size": None}, "batch_size: is missing"),
         ({"model": '"mlp"'}, "model: expected hypotheses or classifier, found 'mlp'"),
         ({"meta_loss": '"awta"'}, "meta_loss: expected one of wta, rwta, ewta, found 'awta'"),
+        ({"backbone": '"resnet19"'}, "backbone: expected one of resnet18, narrow-resnet18, found 'resnet19'"),
+        ({"backbone": 18}, "backbone: expected one of resnet18, narrow-resnet18, found 18"),
+        (
+            {"backbone": f'"{NARROW.name}"', "start": '"imagenet"'},
+            "start: expected one of random for the backbone narrow-resnet18, found imagenet",
+        ),
+        ({"meta_loss": "3"}, "meta_loss: expected one of wta, rwta, ewta, found 3"),
         ({"epochs_to_one": 10}, "k would never be 1"),
         ({"epochs_to_one": None}, "k would never be 1"),
         ({"meta_loss": '"wta"'}, "epochs_to_one: belongs to the meta loss ewta, found wta"),

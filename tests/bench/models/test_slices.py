@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from symsol_annot_cli.plot import plot
 
 from symsol_annot import load
-from symsol_annot.bench.models.networks.heads import RotationClassifier
+from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.plots import slices as slice_plots
 from symsol_annot.bench.models.plots.slices import (
     classifiers_for,
@@ -28,15 +29,11 @@ from symsol_annot.errors import ModelError, RotationError
 torch.set_num_threads(1)
 
 
-class Record:
-    """What a checkpoint says of its training, as far as a slice asks."""
-
-    object, image_size = "tetX", (32, 32)
-
-
 def checkpoint_of(name, tmp_path):
+    """A checkpoint with first weights, and what a slice asks of its record."""
     recipe = load_recipe(name).for_object("tetX", has_marking=True)
-    return Checkpoint(tmp_path / name / "weights.safetensors", Record, new_model(recipe, None, 0).eval())
+    record = SimpleNamespace(recipe=recipe, object="tetX", image_size=(32, 32))
+    return Checkpoint(tmp_path / name / "weights.safetensors", record, new_model(recipe, None, 0).eval())
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +141,7 @@ def test_a_picture_is_of_classifiers_of_the_same_images_alone(tetX_set, tmp_path
     assert (tmp_path / "slice.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ModelError, match="is a hypothesis network; a slice is of a classifier"):
         classifiers_for(images, [checkpoint_of("small-wta", tmp_path)])
-    other = replace(checkpoint_of("small-classifier", tmp_path), record=type("Other", (Record,), {"object": "cube"}))
+    other = checkpoint_of("small-classifier", tmp_path)
+    other.record.object = "cube"
     with pytest.raises(ModelError, match="was trained on cube"):
         classifiers_for(images, [other])

@@ -5,8 +5,6 @@ import hashlib
 import json
 import os
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,21 +16,23 @@ import safetensors.torch
 import torch
 from bench_sets import DiscRenderer
 from made_sets import make_plan, make_set, threads
-from symsol_annot_cli.main import main
-from tiny_training import CLASSIFIER, CPU, HYPOTHESES, RECIPES, narrow_backbone
+from tiny_training import CLASSIFIER, CPU, HYPOTHESES, NARROW, RECIPES
 
+from symsol_annot.bench.models.batches import decode_images
+from symsol_annot.bench.models.devices import largest_that_fits
 from symsol_annot.bench.models.inference import predict
-from symsol_annot.bench.models.training import checkpoints, pretraining, training
-from symsol_annot.bench.models.training import data as training_data
-from symsol_annot.bench.models.training.checkpoints import best_epoch, open_checkpoint, read_record
+from symsol_annot.bench.models.kinds import MODEL_KINDS
+from symsol_annot.bench.models.methods.hypotheses.method import HypothesisLearner
+from symsol_annot.bench.models.recipe import recipe_to_toml
+from symsol_annot.bench.models.training import batch_sources, checkpoints, loop, pretraining
+from symsol_annot.bench.models.training.batch_sources import InMemory, Streamed, open_batches
+from symsol_annot.bench.models.training.checkpoints import open_checkpoint, read_record
 from symsol_annot.bench.models.training.curve import plot_curve
-from symsol_annot.bench.models.training.data import InMemory, Streamed, decoded
-from symsol_annot.bench.models.training.devices import largest_that_fits
-from symsol_annot.bench.models.training.learners import HypothesisLearner
+from symsol_annot.bench.models.training.loop import train
 from symsol_annot.bench.models.training.pretraining import best_network, trained_networks
-from symsol_annot.bench.models.training.training import train
-from symsol_annot.bench.models.weights.files import read_weights
-from symsol_annot.bench.scoring.metric_table import METRICS
+from symsol_annot.bench.models.training.record import best_epoch, record_to_metadata
+from symsol_annot.bench.models.weights.state_dicts import read_weights
+from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import DataError, NotAnnotatedError, SettingsError, TrainingError, WeightsError
 from symsol_annot.generation.generate import generate
@@ -43,14 +43,14 @@ torch.set_num_threads(1)
 
 @pytest.fixture(scope="module", autouse=True)
 def _cheap():
-    """A narrow backbone, and no curve before the last epoch: drawing takes longer than the epochs."""
+    """No curve before the last epoch: drawing takes longer than the epochs."""
 
     def at_the_end(path, record):
         if record.is_finished:
             plot_curve(path, record)
 
-    with narrow_backbone(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, "plot_curve", at_the_end)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "plot_curve", at_the_end)
         yield
 
 
@@ -76,19 +76,6 @@ def trained(data, tmp_path_factory):
     return {name: runs / name for name in RECIPES}
 
 
-@pytest.fixture
-def here(monkeypatch, capfd):
-    """The command line in this process."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["symsol-annot", *(str(word) for word in arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return subprocess.CompletedProcess(arguments, ended.value.code, *capfd.readouterr())
-
-    return call
-
-
 def same_tensors(path_a, path_b):
     a, b = read_weights(path_a), read_weights(path_b)
     return set(a) == set(b) and all(torch.equal(a[name], b[name]) for name in a)
@@ -112,7 +99,7 @@ def test_a_handful_of_images_is_learnt_by_heart_and_scores_a_recall_over_0_9(tmp
     """On cylO, whose images have sets of one where the disc shows; predicted and scored on the images learnt."""
     plan = make_plan("cylO", train=8, test=0, size=32, annotate="all")
     generate(plan, tmp_path / "cylO", threads(partial(DiscRenderer, 32), exhaustive=True))
-    monkeypatch.setattr(training, "plot_curve", lambda *_: None)
+    monkeypatch.setattr(loop, "plot_curve", lambda *_: None)
     for name in ("save", "publish"):  # a few images make many epochs; only the last is kept
         keep = getattr(checkpoints, name)
         monkeypatch.setattr(checkpoints, name, lambda *given, keep=keep: given[1].is_finished and keep(*given))
@@ -159,10 +146,10 @@ def test_a_folder_holds_weights_state_recipe_figures_and_a_curve(name, trained):
 def test_figures_of_validation_images_are_those_of_the_table_and_what_chooses_is_among_them(trained):
     for track, folder in trained.items():
         names = set(read_record(folder / "weights.safetensors").rows[-1])
-        figures = names & {metric.name for metric in METRICS[track]}
+        figures = names & {metric.name for metric in SCORINGS[track].metrics}
         told = {"epoch", "loss", "learning_rate", "images_per_second", "seconds", "processor_seconds"}
         assert names - figures == told | ({"winners", "concentration"} if track == "hypotheses" else {"is_frozen"})
-        assert checkpoints._BEST_BY[track] in figures
+        assert MODEL_KINDS[track].best_by in figures
         if track == "hypotheses":
             assert {name for names in pretraining._ERRORS.values() for name in names} <= figures
 
@@ -182,7 +169,8 @@ def test_a_frozen_first_stage_is_that_of_the_network_it_began_with(trained, imag
     stage = [name for name in ours if name.startswith("first_stage.")]
     assert len(stage) > 100
     assert all(torch.equal(ours[name], theirs[name]) for name in stage)
-    assert record.first_stage.startswith("hypotheses, sha256 ")
+    digest = hashlib.sha256((trained["hypotheses"] / "weights.safetensors").read_bytes()).hexdigest()
+    assert record.first_stage == f"hypotheses, sha256 {digest}"
 
 
 def test_epochs_stretch_the_schedule(images, tmp_path):
@@ -210,7 +198,7 @@ def test_going_on_gives_the_weights_of_not_stopping(name, stops, trained, images
 
     out = tmp_path / "run"
     with pytest.raises(StopError):
-        train(RECIPES[name], images, out, CPU, name=name, on_images=stop_in_the_middle)
+        train(RECIPES[name], images, out, CPU, name=name, on_batch=stop_in_the_middle)
     assert read_record(out / "weights.safetensors").epochs_done == stops
     (out / "weights.safetensors").unlink()  # as if it had been stopped between two files
     begun = []
@@ -242,7 +230,7 @@ def test_another_seed_is_another_training(trained, images):
 
 
 def test_an_epoch_has_each_image_once_in_an_order_of_its_own(images):
-    held = InMemory(decoded(images), 5, 3, torch.device("cpu"), on_device=True)
+    held = InMemory(decode_images(images), 5, 3, torch.device("cpu"), on_device=True)
     epochs = [torch.cat([batch.R_gt for batch in held.batches(epoch)]) for epoch in (0, 1, 0)]
     assert all(len(torch.unique(R, dim=0)) == len(R) == 20 for R in epochs)
     assert torch.equal(epochs[0], epochs[2])
@@ -254,20 +242,20 @@ def test_an_epoch_has_each_image_once_in_an_order_of_its_own(images):
 
 
 def test_images_that_are_fewer_than_a_batch_are_left_out_of_an_epoch(images):
-    held = InMemory(decoded(images), 8, 0, torch.device("cpu"), on_device=True)
+    held = InMemory(decode_images(images), 8, 0, torch.device("cpu"), on_device=True)
     assert [len(batch.R_gt) for batch in held.batches(0)] == [8, 8]
-    assert held.batches_an_epoch() == 2
-    small = InMemory(decoded(images[:6]), 8, 0, torch.device("cpu"), on_device=True)
+    assert held.batches_per_epoch() == 2
+    small = InMemory(decode_images(images[:6]), 8, 0, torch.device("cpu"), on_device=True)
     assert [len(batch.R_gt) for batch in small.batches(0)] == [6]
 
 
 def test_workers_read_the_same_images_where_memory_is_too_small(images, monkeypatch):
-    monkeypatch.setattr(training_data, "free_bytes", lambda _: 1000)
-    monkeypatch.setattr(training_data, "cores", lambda: 2)
-    streamed = training_data.training_data(images, 5, 0, torch.device("cpu"))
+    monkeypatch.setattr(batch_sources, "free_bytes", lambda _: 1000)
+    monkeypatch.setattr(batch_sources, "cores", lambda: 2)
+    streamed = open_batches(images, 5, 0, torch.device("cpu"))
     assert isinstance(streamed, Streamed)
     batches = list(streamed.batches(0))
-    assert len(batches) == streamed.batches_an_epoch() == 4
+    assert len(batches) == streamed.batches_per_epoch() == 4
     R_gt = torch.cat([batch.R_gt for batch in batches])
     assert len(torch.unique(R_gt, dim=0)) == 20
     assert batches[0].images.dtype == torch.uint8
@@ -287,7 +275,7 @@ def test_the_best_network_has_the_lowest_error_and_on_a_tie_the_lower_other(trai
         copy_of(
             trained["hypotheses"] / "weights.safetensors",
             tmp_path / name / "weights.safetensors",
-            metadata=checkpoints._metadata(record),
+            metadata=record_to_metadata(record),
         )
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "weights.safetensors").write_bytes(b"not ours")
@@ -306,6 +294,12 @@ def test_no_network_or_one_that_does_not_fit_is_refused(trained, images, tmp_pat
     record = replace(read_record(trained["hypotheses"] / "weights.safetensors"), image_size=(224, 224))
     with pytest.raises(WeightsError, match=r"was trained on \(16, 16\), the set has \(224, 224\)"):
         best_network([trained["hypotheses"]], record, "best-recall")
+    like = read_record(trained["hypotheses"] / "weights.safetensors")
+    other = replace(like, recipe=replace(recipe, backbone="resnet18"))
+    with pytest.raises(WeightsError, match="has the backbone narrow-resnet18, the recipe resnet18"):
+        best_network([trained["hypotheses"]], other, "best-recall")
+    assert [path.parent.name for path in trained_networks(trained["hypotheses"].parent, like)] == ["hypotheses"]
+    assert trained_networks(trained["hypotheses"].parent, other) == []
     assert not (tmp_path / "run").exists()
 
 
@@ -522,7 +516,7 @@ def test_metadata_that_were_made_to_do_harm_are_one_short_error(metadata, said, 
 
 
 def test_a_record_that_asks_for_a_gigantic_model_is_refused_before_it_is_made(trained, tmp_path):
-    text = checkpoints.recipe_to_toml(HYPOTHESES).replace("hypotheses = 4", "hypotheses = 1000000000")
+    text = recipe_to_toml(HYPOTHESES).replace("hypotheses = 4", "hypotheses = 1000000000")
     path = copy_of(trained["hypotheses"] / "weights.safetensors", tmp_path / "a.safetensors", metadata={"recipe": text})
     with pytest.raises(WeightsError, match="hypotheses: expected 1 to 10000, found 1000000000"):
         open_checkpoint(path)
@@ -597,10 +591,11 @@ def test_what_no_checkpoint_can_hold_is_refused_before_training(options, name, s
 # --- the command ---
 
 
-RECIPE_TOML = """
+RECIPE_TOML = f"""
 title = "tiny"
 model = "hypotheses"
 start = "random"
+backbone = "{NARROW.name}"
 hypotheses = 4
 meta_loss = "wta"
 embedded_loss = "cyclic-cosine"
@@ -692,4 +687,4 @@ def test_train_refuses_a_set_without_a_train_split_and_several_without_a_name(da
 def test_the_library_refuses_a_missing_split(data):
     with pytest.raises(DataError, match="has no split 'validation'"):
         load(data / "tetX", "validation")
-    assert training.Options().device == "auto"
+    assert loop.Options().device == "auto"

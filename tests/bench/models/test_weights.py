@@ -16,11 +16,13 @@ import pytest
 import safetensors.torch
 import torch
 
-from symsol_annot.bench.models.networks.heads import HypothesisNetwork, RotationClassifier
+from symsol_annot.bench.models.networks.hypothesis_network import HypothesisNetwork
 from symsol_annot.bench.models.networks.resnet import ResNet18, load_pretrained
-from symsol_annot.bench.models.weights import files as weights_module
-from symsol_annot.bench.models.weights.files import imagenet_file, load_weights, read_weights, write_weights
+from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
+from symsol_annot.bench.models.weights import imagenet
+from symsol_annot.bench.models.weights.imagenet import imagenet_file
 from symsol_annot.bench.models.weights.safetensors_file import read_content
+from symsol_annot.bench.models.weights.state_dicts import load_weights, read_weights, write_weights
 from symsol_annot.errors import ModelError, OutputError, WeightsError
 
 torch.set_num_threads(1)
@@ -461,7 +463,7 @@ BOMBS = {
 READ = """
 import json, resource, sys
 from pathlib import Path
-from symsol_annot.bench.models.weights.files import read_weights
+from symsol_annot.bench.models.weights.state_dicts import read_weights
 from symsol_annot.errors import WeightsError
 for path in map(Path, sys.argv[1:]):
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
@@ -524,7 +526,7 @@ def server(tmp_path, monkeypatch, torchvision_file):
     digest = hashlib.sha256(torchvision_file.read_bytes()).hexdigest()
     published = tmp_path / f"resnet18-{digest[:8]}.pth"
     published.symlink_to(torchvision_file)
-    monkeypatch.setattr(weights_module, "IMAGENET_URL", published.as_uri())
+    monkeypatch.setattr(imagenet, "IMAGENET_URL", published.as_uri())
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "cache"))
     return published
 
@@ -534,7 +536,7 @@ def cached(tmp_path):
 
 
 def test_the_url_is_torchvisions_and_names_a_digest():
-    assert re.fullmatch(r"https://download\.pytorch\.org/models/resnet18-[0-9a-f]{8}\.pth", weights_module.IMAGENET_URL)
+    assert re.fullmatch(r"https://download\.pytorch\.org/models/resnet18-[0-9a-f]{8}\.pth", imagenet.IMAGENET_URL)
 
 
 def test_imagenets_weights_are_downloaded_once_to_torchs_cache(server, tmp_path, capsys):

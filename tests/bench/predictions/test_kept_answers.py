@@ -14,7 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from bench_sets import TESTS, small_set
+from bench_sets import SUPPORT, small_set
 from methods import model
 
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
@@ -204,7 +204,7 @@ except SymsolError as error:
 
 
 def start_writer(dataset, path, options="", *, given_as="callable", seconds=0.0):
-    paths = os.pathsep.join(filter(None, [str(TESTS), os.environ.get("PYTHONPATH")]))
+    paths = os.pathsep.join(filter(None, [str(SUPPORT), os.environ.get("PYTHONPATH")]))
     started = path.with_name("started")
     command = [sys.executable, "-c", WRITER, dataset.folder, path, started, given_as, str(seconds), options]
     env = {**os.environ, "PYTHONPATH": paths}

@@ -12,7 +12,7 @@ from made_sets import make_set
 from scipy.spatial.transform import Rotation
 
 import symsol_annot
-from symsol_annot.bench.predictions.reader import open_predictions
+from symsol_annot.bench.predictions.predictions_reader import open_predictions
 from symsol_annot.bench.predictions.truth import find_set, read_truth
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.bench.scoring.scoring import score_file

@@ -15,9 +15,10 @@ from scipy import stats
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from symsol_annot.bench.predictions.format import CLASSIFIER_ATTRIBUTES, FILE_ATTRIBUTES
+from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES
 from symsol_annot.bench.predictions.queries import DECOY_COSETS, Queries, group_sha256, query_count
 from symsol_annot.bench.predictions.query_file import write_queries
+from symsol_annot.bench.predictions.tracks.classifier import CLASSIFIER_ATTRIBUTES
 from symsol_annot.errors import NotAnnotatedError, OutputError, SettingsError
 from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_sha256
 from symsol_annot.sets.dataset import load

@@ -9,11 +9,8 @@ import torch
 from bench_sets import small_set
 from scipy.spatial.transform import Rotation
 
-from symsol_annot.bench.predictions.advice.remedies import (
-    fault_of_log_densities,
-    is_normalised,
-    six_numbers_to_rotation,
-)
+from symsol_annot.bench.predictions.advice.answer_remedies import fault_of_log_densities, is_normalised
+from symsol_annot.bench.predictions.advice.remedies import six_numbers_to_rotation
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import PredictionsError, RotationError, SettingsError

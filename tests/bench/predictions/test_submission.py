@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from made_sets import make_set
 from methods import random_rotations
 
-from symsol_annot.bench.predictions.format import TRACKS
 from symsol_annot.bench.predictions.queries import Queries
+from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.bench.predictions.writing.submission import (
     write_classifier,
     write_columns,
@@ -235,11 +235,11 @@ def test_a_density_that_is_certain_gives_the_floor_to_every_other_cell(tetX, tmp
 )
 @settings(deadline=None, max_examples=100)
 def test_what_a_density_file_says_of_a_cell_is_the_densitys_own_or_at_most_the_floor(seed, constant, exponent, floor):
-    from symsol_annot.bench.predictions.writing.submission import _listed_density
+    from symsol_annot.bench.predictions.writing.given_answers import listed_density
 
     log_p = constant + 10.0**exponent * np.random.default_rng(seed).normal(size=500)
     log_p = log_p - np.logaddexp.reduce(log_p)
-    rows = _listed_density(log_p, 10.0**floor)
+    rows = listed_density(log_p, 10.0**floor)
     mass = np.exp(rows["density_log_probabilities"]).sum()
     if len(rows["density_indices"]) < 500:
         assert mass < 1.0
@@ -253,7 +253,7 @@ def test_what_a_density_file_says_of_a_cell_is_the_densitys_own_or_at_most_the_f
     assert np.allclose(in_file[is_above], log_p[is_above], rtol=0, atol=0.01)
     assert (in_file[~is_above] <= floor * np.log(10.0) + 0.01).all()
     if exponent < 0:  # nothing is below the default floor
-        assert np.allclose(_listed_density(log_p, 1e-300)["density_log_probabilities"], log_p, rtol=0, atol=0.01)
+        assert np.allclose(listed_density(log_p, 1e-300)["density_log_probabilities"], log_p, rtol=0, atol=0.01)
 
 
 def one_mode(labels, kappa):
@@ -283,7 +283,7 @@ def test_a_density_file_says_its_floor_and_forgets_that_of_a_track_that_is_repla
     assert contents(path)[1]["density_floor"] == 1e-6
     write("density", path, tetX)
     assert contents(path)[1]["density_floor"] == 1e-300
-    columns = {name: contents(path)[0][name] for name in TRACKS["density"]}
+    columns = {name: contents(path)[0][name] for name in TRACKS["density"].datasets}
     write_columns(path, tetX, "density", columns, method=METHOD, grid_level=LEVEL)
     assert "density_floor" not in contents(path)[1]  # nobody said which one these have
 
@@ -321,7 +321,8 @@ def test_tracks_are_added_in_any_order(alone, tetX, tmp_path, order):
         write(track, path, tetX)
     columns, attributes = contents(path)
     assert left_beside(path) == []
-    assert {"image_index", "hypothesis_weights", *columns} == {"image_index", *(n for t in TRACKS.values() for n in t)}
+    every_dataset = {name for track in TRACKS.values() for name in track.datasets}
+    assert {"image_index", "hypothesis_weights", *columns} == {"image_index", *every_dataset}
     for track in order:
         expected, about = contents(alone[track])
         assert about.items() <= attributes.items()

@@ -15,7 +15,8 @@ from symsol_annot.bench.predictions.writing.submission import write_classifier, 
 from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.averages import difference
 from symsol_annot.bench.scoring.comparison import compare
-from symsol_annot.bench.scoring.metric_table import METRICS, Place, metrics_shown
+from symsol_annot.bench.scoring.metric import Place
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
 from symsol_annot.bench.scoring.scores_file import read_scores
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import ScoresError
@@ -52,7 +53,7 @@ def pair(tetX, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def documents(pair):
-    return [report.to_document([scores], [path]) for scores, path in pair]
+    return [report.to_document([scores]) for scores, path in pair]
 
 
 @pytest.fixture
@@ -173,7 +174,7 @@ def test_lines_are_aligned_and_have_no_trailing_blanks(documents, save):
     tables = [
         block.splitlines() for block in text.split("\n\n") if block.startswith(("all", "shown", "hidden", "barely"))
     ]
-    assert len(tables) == 4 * len(METRICS)
+    assert len(tables) == 4 * len(SCORINGS)
     for table in tables:
         assert len({len(line) for line in table if not line.startswith("WARNING")}) == 1
 
@@ -401,7 +402,7 @@ def damage(document, way, rng):
         elif kind == 2:
             place[last] = copy.deepcopy(rng.choice(list(document.values())))
         elif isinstance(place, dict):
-            place[rng.choice(["x", "\n", "all", "shown", *METRICS])] = place.pop(last)
+            place[rng.choice(["x", "\n", "all", "shown", *SCORINGS])] = place.pop(last)
     except (KeyError, IndexError, TypeError):  # what was there is damaged already
         pass
 
@@ -416,7 +417,7 @@ def test_uniform_rotations_are_worse_than_the_first_method(tetX, documents, save
     path = tmp_path / "uniform.h5"
     uniform = uniform_rotations(IMAGES, np.random.default_rng(1))[:, None]
     write_hypotheses(path, tetX, uniform, method="uniform")
-    bad = report.to_document([score_file(path, tetX.folder)], [path])
+    bad = report.to_document([score_file(path, tetX.folder)])
     rows = rows_of(compare(save(documents[0], bad)))
     assert numbers_in(rows["precision mean error, rad (5.9)"][2])[1] > 0.2
     assert numbers_in(rows["F-measure at 5 deg"][2])[0] < 0

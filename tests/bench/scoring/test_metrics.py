@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from symsol_annot.bench.scoring import metrics
-from symsol_annot.rotations.so3 import rotations_about, tetrahedral_group
+from symsol_annot.rotations.groups import tetrahedral_group
+from symsol_annot.rotations.so3 import rotations_about
 
 quick = settings(deadline=None, max_examples=100)
 counts = st.integers(0, 10_000)

@@ -19,8 +19,10 @@ from made_sets import make_set
 from symsol_annot import __version__
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.bench.scoring import report
-from symsol_annot.bench.scoring.metric_table import F_UNWEIGHTED, METRICS, Place, metrics_shown
+from symsol_annot.bench.scoring.metric import Place
 from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.scorers.hypotheses import F_UNWEIGHTED
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import ScoresError
 from symsol_annot.rotations.grid import grid_sha256
@@ -61,7 +63,7 @@ def scores(sets, paths):
 
 @pytest.fixture(scope="module")
 def document(scores, paths):
-    return report.to_document(scores, paths)
+    return report.to_document(scores)
 
 
 def strictly(text):
@@ -119,14 +121,14 @@ def test_every_object_has_every_track_and_every_stratum_with_the_same_metrics(do
         entry = document["objects"][name]
         assert set(entry["strata"]) == set(STRATA)
         assert entry["strata"]["all"] == entry["strata"]["shown"] + entry["strata"]["hidden"] == images
-        for track in METRICS:
+        for track in SCORINGS:
             metrics = [list(entry[track][stratum]) for stratum in STRATA]
             assert metrics == metrics[:1] * 4
             assert len(metrics[0]) > 5
 
 
 def test_tables_name_metrics_that_there_are(document):
-    for track in METRICS:
+    for track in SCORINGS:
         names = {metric.name for metric in metrics_shown(track, Place.TABLES)} - {F_UNWEIGHTED}  # of files with weights
         assert names <= set(document["objects"]["cylO"][track]["all"])
 
@@ -188,7 +190,7 @@ def test_figures_follow_from_the_images_that_the_document_lists(document):
     for entry in document["objects"].values():
         listed = entry["per_image"]
         strata = {"all": range(entry["images"]), **listed["strata"]}
-        for track in METRICS:
+        for track in SCORINGS:
             for metric, values in listed[track].items():
                 for stratum, images in strata.items():
                     known = [i for i in images if values[i] is not None]
@@ -214,14 +216,14 @@ def test_a_score_on_another_grid_does_not_rank_and_says_why(document):
 
 def test_two_files_about_one_object_are_refused(scores, paths):
     with pytest.raises(ScoresError, match="more than one of the files is about tetX; score one file per object"):
-        report.to_document([scores[0], scores[1], scores[0]], [*paths, paths[0]])
+        report.to_document([scores[0], scores[1], scores[0]])
 
 
 def test_files_of_two_methods_are_refused(scores, paths, sets, tmp_path):
     other = tmp_path / "other.h5"
     write_hypotheses(other, sets["cylO"], lambda i: np.eye(3)[None], method="another")
     with pytest.raises(ScoresError, match=r"the files are of different methods \(a  method .*, another\)"):
-        report.to_document([scores[0], score_file(other, sets["cylO"].folder)], [paths[0], other])
+        report.to_document([scores[0], score_file(other, sets["cylO"].folder)])
 
 
 # --- the tables ---
@@ -248,7 +250,7 @@ def table_of(printed, name, track):
 
 
 @pytest.mark.parametrize("name", IMAGES)
-@pytest.mark.parametrize("track", METRICS)
+@pytest.mark.parametrize("track", SCORINGS)
 def test_a_table_is_aligned_and_has_a_column_a_stratum_and_a_row_a_metric(printed, document, name, track):
     table = table_of(printed, name, track)
     entry = document["objects"][name]
@@ -306,7 +308,7 @@ def test_small_figures_are_not_shown_as_nothing(value, shown, signed):
 
 def test_several_files_give_the_benchmarks_table(printed, document):
     table = printed[printed.index("all objects, all images") :]
-    for track in METRICS:
+    for track in SCORINGS:
         metrics = [metric.name for metric in metrics_shown(track, Place.SUMMARY)]
         lines = next(block for block in blocks(table) if block[0].startswith(track))
         assert cells(lines[0]) == [track, *IMAGES, "mean"]
@@ -325,7 +327,7 @@ def test_one_file_gives_no_benchmarks_table_and_one_without_marking_no_strata(tm
     dataset = load(make_set(tmp_path, "tet", test=3, size=16))
     path = tmp_path / "preds.h5"
     write_hypotheses(path, dataset, dataset.labels().rotation[:, None], method="mine")
-    document = report.to_document([score_file(path, tmp_path)], [path])
+    document = report.to_document([score_file(path, tmp_path)])
     assert document["objects"]["tet"]["strata"] == {"all": 3}
     assert document["ranks"] is True
     printed = report.tables(document)

@@ -16,8 +16,8 @@ from symsol_annot.bench.predictions.writing.submission import (
     write_hypotheses,
 )
 from symsol_annot.bench.scoring import report
-from symsol_annot.bench.scoring.metric_table import ANGLES_DEG
 from symsol_annot.bench.scoring.reference import ROWS, score_row
+from symsol_annot.bench.scoring.scorers.hypotheses import ANGLES_DEG
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.rotations.grid import equivolumetric_grid
 from symsol_annot.rotations.so3 import quat_wxyz_to_rotation, rotation_to_quat_wxyz, uniform_rotations
@@ -130,7 +130,7 @@ def test_neither_a_good_nor_a_poor_method_nor_a_constant_one_has_a_note(off_rad,
 def test_a_note_does_not_keep_a_score_from_ranking_and_stands_in_table_and_document(sets, tmp_path):
     dataset, path = sets["tetX"], tmp_path / "preds.h5"
     write_hypotheses(path, dataset, transposed(nearly_right(dataset, 5)), method="mine", progress=False)
-    document = report.to_document([score_file(path, dataset.folder)], [path])
+    document = report.to_document([score_file(path, dataset.folder)])
     (note,) = document["objects"]["tetX"]["hypotheses"]["notes"]
     assert document["ranks"] is True
     assert " ".join(report.tables(document).split()).count(f"NOTE: {note}") == 1

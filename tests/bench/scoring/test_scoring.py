@@ -25,25 +25,26 @@ from scoring_oracle import (
     query_order,
 )
 
-from symsol_annot.bench.predictions import tracks
 from symsol_annot.bench.predictions.queries import Queries
-from symsol_annot.bench.predictions.tracks import ClassifierBlock, DensityBlock, HypothesesBlock, SparseRows
+from symsol_annot.bench.predictions.tracks.classifier import ClassifierBlock
+from symsol_annot.bench.predictions.tracks.density import DensityBlock
+from symsol_annot.bench.predictions.tracks.hypotheses import HypothesesBlock
+from symsol_annot.bench.predictions.tracks.on_grid import GridReader, SparseRows
+from symsol_annot.bench.predictions.tracks.track import TrackReader
 from symsol_annot.bench.predictions.truth import Truth
 from symsol_annot.bench.scoring.averages import figures, merge
-from symsol_annot.bench.scoring.metric_table import F_UNWEIGHTED, METRICS, RANKED_BY, Place, metric_of
-from symsol_annot.bench.scoring.scorers import ClassifierScorer, DensityScorer, HypothesesScorer
-from symsol_annot.bench.scoring.scoring import score_file, table_of
+from symsol_annot.bench.scoring.metric import Place
+from symsol_annot.bench.scoring.scorers.classifier import ClassifierScorer
+from symsol_annot.bench.scoring.scorers.density import DensityScorer
+from symsol_annot.bench.scoring.scorers.hypotheses import F_UNWEIGHTED, HypothesesScorer
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metric_of, metrics_shown
+from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rendering.scene import View
+from symsol_annot.rendering.renderer import View
 from symsol_annot.rotations.grid import GridIndex, equivolumetric_grid, grid_sha256
-from symsol_annot.rotations.so3 import (
-    cyclic_group,
-    dihedral_group,
-    nearest_element,
-    tetrahedral_group,
-    uniform_rotations,
-)
+from symsol_annot.rotations.groups import cyclic_group, dihedral_group, nearest_element, tetrahedral_group
+from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.dataset import Labels
 
 SIZE = 160  # of the images; shown with under 10.2 pixels is barely shown
@@ -362,27 +363,28 @@ def every_metric(sets, tmp_path_factory):
 
 
 def test_the_table_has_each_metric_that_a_scorer_returns_once_and_no_other(every_metric):
-    assert set(every_metric) == set(METRICS)
-    for track, metrics in METRICS.items():
-        assert sorted(metric.name for metric in metrics) == sorted(every_metric[track].per_image.values)
+    assert set(every_metric) == set(SCORINGS)
+    for track, scoring in SCORINGS.items():
+        assert [metric.name for metric in scoring.metrics] == list(every_metric[track].per_image.values)
 
 
 def test_metrics_are_pooled_that_weigh_an_image_by_its_set(sets, every_metric):
     sizes = np.array([sum(mask) for mask in sets[1]["cylO"].mask])
     assert len(set(sizes)) > 2
-    for track, metrics in METRICS.items():
-        for metric in metrics:
+    for track, scoring in SCORINGS.items():
+        for metric in scoring.metrics:
             table = every_metric[track].per_image
             expected = sizes if metric.is_pooled else np.ones(len(sizes))
             is_defined = ~np.isnan(table.values[metric.name])
             assert table.weights[metric.name].tolist() == np.where(is_defined, expected, 0).tolist(), metric
 
 
-def test_what_tables_show_has_a_title_and_what_ranks_is_better_on_one_side_and_has_a_column():
-    for track, metrics in METRICS.items():
-        assert [metric for metric in metrics if bool(metric.title) != (metric.place > Place.FILE)] == []
-        assert not metrics[0].is_detail
-        by = metric_of(track, RANKED_BY[track])
+def test_what_tables_show_has_a_row_of_its_own_and_what_ranks_is_better_on_one_side_and_has_a_column():
+    for track, scoring in SCORINGS.items():
+        in_tables = [metric for metric in scoring.metrics if metric.place > Place.FILE]
+        assert sorted(metric.row for metric in in_tables) == list(range(1, len(in_tables) + 1))
+        assert not metrics_shown(track, Place.TABLES)[0].is_detail
+        by = metric_of(track, scoring.track.ranked_by)
         assert by.better
         assert by.place >= Place.LEADERBOARD
 
@@ -423,8 +425,8 @@ def test_scores_do_not_depend_on_how_much_is_read_at_once(sets, tmp_path, monkey
     folder, truths = sets
     path = write_messy(tmp_path / "preds.h5", truths["tetX"], Style(has_weights=True))
     scores = score_file(path, folder)
-    monkeypatch.setattr(tracks, "_BLOCK_BYTES", 3000)
-    monkeypatch.setattr(tracks, "_BLOCK_ENTRIES", 50)
+    monkeypatch.setattr(TrackReader, "block_bytes", 3000)
+    monkeypatch.setattr(GridReader, "block_entries", 50)
     assert_same_scores(scores, score_file(path, folder))
 
 
@@ -460,7 +462,7 @@ def with_labels(truth, **changed):
 
 def scored(scorer_type, truth, block, **facts):
     scorer = scorer_type(SimpleNamespace(density_floor=None, **facts), truth)
-    return table_of(block.image_index, scorer.score_block(block))
+    return scorer.score_block(block)
 
 
 def score_hypotheses(truth, hypotheses, weights=None, images=None):

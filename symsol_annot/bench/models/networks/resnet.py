@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from symsol_annot.bench.models.weights.files import IMAGENET_URL, imagenet_file, load_weights, read_weights
+from symsol_annot.bench.models.weights.imagenet import IMAGENET_URL, imagenet_file
+from symsol_annot.bench.models.weights.state_dicts import load_weights, read_weights
 
 FEATURES = 512
 IMAGENET = "imagenet"  # in place of a path: the file that torchvision publishes
@@ -55,7 +56,7 @@ class _Block(nn.Module):
         return functional.relu(self.bn2(self.conv2(y)) + self.downsample(x), inplace=True)
 
 
-def load_pretrained(resnet: ResNet18, pretrained: str | Path) -> None:
+def load_pretrained(resnet: nn.Module, pretrained: str | Path) -> None:
     """Give a ResNet-18 the weights of a file in torchvision's names.
 
     The layer of classes may be there, of any size, or not. Files from before torch 0.4.1, torchvision's own among

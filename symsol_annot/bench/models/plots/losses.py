@@ -11,12 +11,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from symsol_annot.bench.models.networks.losses import CONCENTRATION, cyclic_cosine_loss, geodesic_loss, von_mises_loss
+from symsol_annot.bench.models.loss_tables import EMBEDDED_LOSSES
+from symsol_annot.bench.models.losses import CONCENTRATION
 from symsol_annot.bench.models.plots.toy import TOYS, Points, Stage, Toy, positions, winners
 from symsol_annot.plotting.canvas import SERIES, new_figure, write_figure
-from symsol_annot.rotations.so3 import Z_AXIS, Angles, rotations_about
+from symsol_annot.rotations.groups import Z_AXIS
+from symsol_annot.rotations.so3 import Angles, rotations_about
 
-EmbeddedLoss = Callable[[Tensor, Tensor], Tensor]
+LossOfRotations = Callable[[Tensor, Tensor], Tensor]
 
 _STEEP = 16.0  # figure A.2b, whose value the thesis does not tell: two minima, where 4 has one
 _HYPOTHESIS, _MODE = SERIES[:2]
@@ -25,22 +27,30 @@ _CURVES_INCHES, _TOY_INCHES = (3.2, 2.4), (2.4, 2.5)
 
 @dataclass(frozen=True)
 class Curves:
-    """Losses of a rotation about one axis, summed over the true rotations about it."""
+    """Losses of a rotation about one axis, summed over the true rotations about it.
+
+    Attributes:
+        figure: its number in the thesis.
+        truths_rad: the angles of the true rotations.
+        losses: by their labels.
+    """
 
     figure: str
     truths_rad: tuple[float, ...]
-    losses: Mapping[str, EmbeddedLoss]
+    losses: Mapping[str, LossOfRotations]
 
 
-def _beside_von_mises(name: str, loss: EmbeddedLoss, concentration: float = CONCENTRATION) -> dict[str, EmbeddedLoss]:
+def _beside_von_mises(name: str, concentration: float = CONCENTRATION) -> dict[str, LossOfRotations]:
+    """Return a loss and the von Mises loss, by their labels."""
+    loss, von_mises = EMBEDDED_LOSSES[name], EMBEDDED_LOSSES["von-mises"]
     return {
-        name: loss,
-        f"von Mises, K = {concentration:g}": partial(von_mises_loss, concentration=concentration),
+        loss.label(): loss.function,
+        von_mises.label(concentration=concentration): partial(von_mises.function, concentration=concentration),
     }
 
 
-_WITH_GEODESIC = _beside_von_mises("geodesic", geodesic_loss)
-_WITH_COSINE = _beside_von_mises("cyclic cosine", cyclic_cosine_loss)
+_WITH_GEODESIC = _beside_von_mises("geodesic")
+_WITH_COSINE = _beside_von_mises("cyclic-cosine")
 CURVES = (
     (Curves("4.5a", (np.pi,), _WITH_GEODESIC), Curves("4.5b", (2.0, 4.0), _WITH_GEODESIC)),
     (
@@ -50,13 +60,22 @@ CURVES = (
     ),
     (
         Curves("A.2a", (3.0, 3.75), _WITH_COSINE),
-        Curves("A.2b", (3.0, 3.75), _beside_von_mises("cyclic cosine", cyclic_cosine_loss, _STEEP)),
+        Curves("A.2b", (3.0, 3.75), _beside_von_mises("cyclic-cosine", _STEEP)),
     ),
 )
 
 
-def summed_loss(angles_rad: Angles, truths_rad: Angles, loss: EmbeddedLoss) -> npt.NDArray[np.float64]:
-    """Return the loss of rotations about one axis (n,), summed over the true rotations about it (appendix A.1)."""
+def summed_loss(angles_rad: Angles, truths_rad: Angles, loss: LossOfRotations) -> npt.NDArray[np.float64]:
+    """Return the loss of rotations about one axis, summed over the true rotations about it (appendix A.1).
+
+    Args:
+        angles_rad: (n,) of the rotations.
+        truths_rad: (t,) of the true ones.
+        loss: of two rotations.
+
+    Returns:
+        (n,) losses.
+    """
     R_p = torch.from_numpy(rotations_about(Z_AXIS, angles_rad))
     R_gt = torch.from_numpy(rotations_about(Z_AXIS, truths_rad))
     summed: npt.NDArray[np.float64] = loss(R_p[:, None], R_gt).sum(dim=-1).numpy()
@@ -90,7 +109,8 @@ def plot_curves(path: Path) -> None:
 def plot_toys(path: Path) -> None:
     """Write figures 4.2 to 4.4 as a picture, one row each: where hypotheses begin, and where each stage takes them.
 
-    Arrows lead from winners to their modes, pale ones from whom a mode pulls besides; lines border the Voronoi cells.
+    Arrows lead from winners to their modes, pale ones from the other hypotheses that a mode pulls; lines border the
+    Voronoi cells.
 
     Raises:
         OutputError: the file cannot be written.

@@ -7,9 +7,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from symsol_annot.bench.models.networks.heads import RotationClassifier
+from symsol_annot.bench.models.kinds import kind_of
+from symsol_annot.bench.models.networks.answers import embeddings_of, probabilities
+from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.training.checkpoints import Checkpoint
-from symsol_annot.bench.models.training.learners import embedded, probabilities
 from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
 from symsol_annot.errors import ModelError, RotationError
 from symsol_annot.plotting.canvas import SERIES, label_text, new_figure, write_figure
@@ -29,7 +30,8 @@ def classifiers_for(dataset: Dataset, checkpoints: Sequence[Checkpoint]) -> list
     for checkpoint in checkpoints:
         checkpoint.refuse_other_images(dataset)
         if not isinstance(checkpoint.model, RotationClassifier):
-            raise ModelError(f"{checkpoint.path}: is a hypothesis network; a slice is of a classifier")
+            title = kind_of(checkpoint.record.recipe).title
+            raise ModelError(f"{checkpoint.path}: is a {title}; a slice is of a classifier")
         found.append((checkpoint.path.parent.name, checkpoint.model))
     return found
 
@@ -50,7 +52,7 @@ def probability_along(
 ) -> npt.NDArray[np.float64]:
     """Return what a classifier says along a slice through an image's R_gt: (n,) probabilities."""
     R = torch.from_numpy(slice_through(sample.rotation, axis, angles_rad)).float()
-    embedding = embedded(classifier, torch.from_numpy(sample.image)[None], 1)[0]
+    embedding = embeddings_of(classifier, torch.from_numpy(sample.image)[None], 1)[0]
     said: npt.NDArray[np.float64] = probabilities(classifier, embedding, R.to(embedding)).double().cpu().numpy()
     return said
 
@@ -95,9 +97,9 @@ def plot_slice(
 
 def members_on(sample: Sample, axis: str) -> Angles:
     """Return at which angles in degrees, in (-180, 180], a slice through R_gt meets members of the image's set."""
-    if sample.symmetry_mask is None:
+    if not sample.is_annotated:
         return np.zeros(0)
-    turns = sample.symmetry_group[sample.symmetry_mask]
+    turns = sample.symmetry_set.turns
     along = np.array(AXES[axis], dtype=np.float64)
     (about,) = np.nonzero(np.linalg.norm(turns @ along - along, axis=-1) < 1e-6)
     u, v = np.roll(along, 1), np.roll(along, 2)

@@ -9,18 +9,23 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from symsol_annot.bench.models.networks.losses import (
-    evolving_winner_takes_all,
-    relaxed_winner_takes_all,
-    winner_takes_all,
-)
+from symsol_annot.bench.models.loss_tables import META_LOSSES
 
 Points = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Steps of gradient descent under one meta loss, in which a mode pulls so many winners, or all hypotheses."""
+    """Steps of gradient descent under one meta loss.
+
+    Attributes:
+        title: of the meta loss.
+        meta_loss: of losses (n, M).
+        winners: how many hypotheses a mode pulls.
+        steps: how many.
+        rate: of the descent.
+        pulls_all: whether a mode pulls all other hypotheses too, a little.
+    """
 
     title: str
     meta_loss: Callable[[Tensor], Tensor]
@@ -70,9 +75,10 @@ def winners(hypotheses: Points, modes: Points, count: int) -> npt.NDArray[np.int
 
 
 def _evolving(k: int, steps: int) -> Stage:
-    return Stage(f"EWTA, k = {k}", partial(evolving_winner_takes_all, k=k), k, steps, rate=0.05)
+    return Stage(_EWTA.label(k=k), partial(_EWTA.function, k=k), k, steps, rate=0.05)
 
 
+_WTA, _RWTA, _EWTA = (META_LOSSES[name] for name in ("wta", "rwta", "ewta"))
 _CORNERS = np.array([(0.45, 0.90), (0.10, 0.10), (0.90, 0.10)])
 
 TOYS = (
@@ -80,13 +86,13 @@ TOYS = (
         "4.2",
         modes=np.array([(0.15, 0.80), (0.45, 0.85), (0.85, 0.75), (0.75, 0.20)]),
         start=np.array([(0.30, 0.62), (0.78, 0.58), (0.60, 0.32), (0.18, 0.20), (0.46, 0.45)]),
-        stages=(Stage("WTA", winner_takes_all, 1, 100, rate=0.25),),
+        stages=(Stage(_WTA.title, _WTA.function, 1, 100, rate=0.25),),
     ),
     Toy(  # those that win nothing meet half way
         "4.3",
         modes=_CORNERS,
         start=np.array([(0.55, 0.70), (0.20, 0.30), (0.80, 0.25), (0.15, 0.65), (0.92, 0.60), (0.50, 0.05)]),
-        stages=(Stage("RWTA", relaxed_winner_takes_all, 1, 600, rate=1.0, pulls_all=True),),
+        stages=(Stage(_RWTA.title, _RWTA.function, 1, 600, rate=1.0, pulls_all=True),),
     ),
     Toy(  # at first all meet; then each mode lets go of those far from it
         "4.4",

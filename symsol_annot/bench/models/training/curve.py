@@ -2,24 +2,30 @@
 
 from pathlib import Path
 
-from symsol_annot.bench.models.training.checkpoints import TrainingRecord
-from symsol_annot.bench.scoring.metric_table import HIGHER, LOWER, METRICS
+from symsol_annot.bench.models.training.record import TrainingRecord
+from symsol_annot.bench.models.validation import FIGURES
 from symsol_annot.plotting.canvas import label_text, new_figure, write_figure
 
-_PANELS = {"errors": LOWER, "ratios": HIGHER}
+_PANELS = {"errors": False, "ratios": True}  # whether higher is better
 _LABELS = {"loss": "loss", "errors": "mean error (rad)", "ratios": "validation images"}
 
 
 def plot_curve(path: Path, record: TrainingRecord) -> None:
-    """Write a PNG: the loss by epoch, and beside it the validation images' figures.
+    """Write a PNG: the loss of each epoch, and beside it the figures of the validation images.
+
+    Args:
+        path: of the PNG.
+        record: of a training with one epoch or more.
 
     Raises:
         OutputError: the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
     there = {name for row in record.rows for name in row}
-    metrics = [metric for of_track in METRICS.values() for metric in of_track if metric.name in there]
-    shown = {title: [metric.name for metric in metrics if metric.better == better] for title, better in _PANELS.items()}
+    shown = {
+        title: [name for name, is_higher_better in FIGURES.items() if name in there and is_higher_better == is_higher]
+        for title, is_higher in _PANELS.items()
+    }
     shown = {"loss": ["loss"], **{title: names for title, names in shown.items() if names}}
     figure = new_figure(figsize=(4.0 * len(shown), 3.0), layout="constrained")
     epochs = [row["epoch"] for row in record.rows]

@@ -4,33 +4,44 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from symsol_annot.bench.models.recipe import HypothesisRecipe
-from symsol_annot.bench.models.training.checkpoints import WEIGHTS, TrainingRecord, read_record, weights_file
+from symsol_annot.bench.models.kinds import kind_of
+from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.recipe_keys import BEST_PRECISION, BEST_RECALL
+from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE, read_record, weights_file
+from symsol_annot.bench.models.training.record import TrainingRecord
 from symsol_annot.errors import WeightsError
 
 _ERRORS = {
-    "best-recall": ("recall_mean_error_rad", "precision_mean_error_rad"),
-    "best-precision": ("precision_mean_error_rad", "recall_mean_error_rad"),
+    BEST_RECALL: ("recall_mean_error_rad", "precision_mean_error_rad"),
+    BEST_PRECISION: ("precision_mean_error_rad", "recall_mean_error_rad"),
 }
 _DIGITS = 3  # to which the thesis tells errors, so that there are ties
 
 
 def trained_networks(folder: Path, like: TrainingRecord) -> list[Path]:
-    """Return the weights of the finished hypothesis networks in folders of a folder, trained on the same images."""
+    """Return the files of weights of finished hypothesis networks in the folders of a folder.
+
+    Args:
+        folder: of checkpoints' folders.
+        like: the training that is to begin with one: networks of other images or with another backbone are left out.
+    """
     found = []
-    for path in sorted(folder.glob(f"*/{WEIGHTS}")):
+    for path in sorted(folder.glob(f"*/{WEIGHTS_FILE}")):
         try:
             record = read_record(path)
-        except WeightsError:  # somebody else's
+        except WeightsError:  # no checkpoint
             continue
-        is_alike = (record.train_fingerprint, record.image_size) == (like.train_fingerprint, like.image_size)
-        if is_alike and record.is_finished and isinstance(record.recipe, HypothesisRecipe):
+        if (
+            _images_and_backbone(record) == _images_and_backbone(like)
+            and record.is_finished
+            and isinstance(record.recipe, HypothesisRecipe)
+        ):
             found.append(path)
     return found
 
 
 def best_network(paths: Sequence[Path], like: TrainingRecord, by: str) -> Path:
-    """Return the weights with the lowest error after the last epoch; on a tie that with the lower other error.
+    """Return the file of weights with the lowest error after the last epoch; on a tie that with the lower other error.
 
     Args:
         paths: checkpoints of hypothesis networks, folders or files of weights in them.
@@ -63,7 +74,14 @@ def best_network(paths: Sequence[Path], like: TrainingRecord, by: str) -> Path:
 
 def _refuse_other(file: Path, record: TrainingRecord, like: TrainingRecord) -> None:
     if not isinstance(record.recipe, HypothesisRecipe):
-        raise WeightsError(f"{file}: is the classifier of recipe {record.name}; expected a hypothesis network")
+        title = kind_of(record.recipe).title
+        raise WeightsError(f"{file}: is the {title} of recipe {record.name}; expected a hypothesis network")
     for name in ("object", "image_size"):
         if getattr(record, name) != getattr(like, name):
             raise WeightsError(f"{file}: was trained on {getattr(record, name)}, the set has {getattr(like, name)}")
+    if record.recipe.backbone != like.recipe.backbone:
+        raise WeightsError(f"{file}: has the backbone {record.recipe.backbone}, the recipe {like.recipe.backbone}")
+
+
+def _images_and_backbone(record: TrainingRecord) -> tuple[str, tuple[int, int], str]:
+    return record.train_fingerprint, record.image_size, record.recipe.backbone

@@ -1,7 +1,7 @@
-"""A stranger's file of torch.save, read in a process of its own: the program that `weights.py` starts.
+"""A file of torch.save from any source, read in a process of its own: what `state_dicts.py` starts.
 
 A pickle can be made to loop, and to ask for any amount of memory, though torch runs no code in it. So this process has
-a limit on both, and its death is a message in the parent. It imports nothing of this package.
+a limit on both, and where it ends early the parent says so. It imports nothing of this package.
 
 The file is standard input. Standard output gets one byte, then what it stands for: `=` and the tensors as safetensors,
 or `!` and what is wrong, in words.
@@ -62,17 +62,17 @@ def _tensors(most_bytes: int) -> dict[str, torch.Tensor]:
         content = torch.load(sys.stdin.buffer, map_location="cpu", weights_only=True)
     if not isinstance(content, Mapping):
         raise _Fault(f"expected tensors by their names, a state dict, found {type(content).__name__}")
-    strange = list(islice(_strange(content), _SHOWN + 1))
-    if strange:
-        more = " and others" if len(strange) > _SHOWN else ""
-        raise _Fault(f"expected names and tensors alone, found {', '.join(strange[:_SHOWN])}{more}")
+    others = list(islice(_not_weights(content), _SHOWN + 1))
+    if others:
+        more = " and others" if len(others) > _SHOWN else ""
+        raise _Fault(f"expected names and tensors alone, found {', '.join(others[:_SHOWN])}{more}")
     size = sum(tensor.numel() * tensor.element_size() for tensor in content.values())
     if len(content) > _MAX_TENSORS or size > most_bytes:
         raise _Fault(f"holds {len(content):,} tensors of {size:,} bytes, more than {_MAX_TENSORS:,} of {most_bytes:,}")
     return {name: tensor.detach().resolve_conj().contiguous().clone() for name, tensor in content.items()}
 
 
-def _strange(content: Mapping[object, object]) -> Iterator[str]:
+def _not_weights(content: Mapping[object, object]) -> Iterator[str]:
     for name, value in content.items():
         if not _is_weight(name, value):
             shown = f"{name:.{_MAX_WORDS}}" if isinstance(name, str) else f"a name of type {type(name).__name__}"
@@ -100,4 +100,4 @@ def _limit(seconds: float, memory_bytes: int) -> None:
 if __name__ == "__main__":
     main(float(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
     sys.stdout.flush()
-    os._exit(0)  # without the libraries' farewells, which take a second
+    os._exit(0)  # without what the libraries do at the end of a process, which takes a second

@@ -1,4 +1,4 @@
-"""Files of safetensors from a stranger: all that their headers say is checked before memory is taken for it.
+"""Files of safetensors from any source: what their headers say is checked before memory is taken for it.
 
 A file is opened once and read through that, so that a header and its tensors are those of one file, whatever becomes
 of its name meanwhile. Nothing is mapped into memory: a file cut off while it is mapped would end the process.
@@ -18,7 +18,7 @@ import torch
 
 from symsol_annot.system.reading import open_regular
 
-Weights: TypeAlias = dict[str, torch.Tensor]
+StateDict: TypeAlias = dict[str, torch.Tensor]
 
 MAX_HEADER_BYTES = 2**24  # the figures of 10,000 epochs take a quarter of it
 MAX_FILE_BYTES = 2**30  # a network of 10,000 hypotheses with Adam's means has half of that
@@ -49,7 +49,7 @@ class Content:
     """
 
     metadata: Mapping[str, str]
-    tensors: Weights
+    tensors: StateDict
     sha256: str
 
 
@@ -99,7 +99,7 @@ def _read(file: BinaryIO, size: int) -> Content:
     metadata, places, start = _read_header(file, size)
     file.seek(0)
     digest = hashlib.sha256(_exactly(file, start))
-    tensors: Weights = {}
+    tensors: StateDict = {}
     for place in places:
         data = _exactly(file, place.end - place.begin)
         digest.update(data)

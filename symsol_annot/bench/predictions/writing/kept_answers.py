@@ -24,13 +24,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.bench.predictions.columns import Array
+from symsol_annot.bench.predictions.writing.answer_file import (
+    MAX_ANSWER_BYTES,
+    Answer,
+    forms_and_data,
+    inflated,
+    packed,
+)
 from symsol_annot.errors import OutputError, PredictionsError, SettingsError, output_errors, printable
 from symsol_annot.system.locks import held_folder
 from symsol_annot.system.reading import read_bytes, read_text
 from symsol_annot.system.scratch import MARK_NAME
-
-Array = npt.NDArray[Any]
-Rows = dict[str, Array]  # what there is of one image, by data set
 
 _LOG = logging.getLogger(__name__)
 _MARK = (
@@ -39,7 +44,7 @@ _MARK = (
 )
 _NOTE, _UNFINISHED = "settings.json", "answer.partial"
 _ANSWER = re.compile(r"(\d{8})\.answer")
-_SMALL_BYTES, _ANSWER_BYTES = 2**16, 2**30
+_SMALL_BYTES = 2**16
 _LONGEST_NAME = 1000  # of who answers
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, zlib.error)  # what a damaged answer raises
 
@@ -55,7 +60,7 @@ class _Note:
     begun: str
 
     @classmethod
-    def of(cls, found: Any) -> "_Note":
+    def from_json(cls, found: Any) -> "_Note":
         """Return what a file says.
 
         Raises:
@@ -103,6 +108,11 @@ class KeptAnswers:
     def __init__(self, parts: Path, track: str, images: int) -> None:
         self.folder, self._parts, self._images = parts / track, parts, images
 
+    @property
+    def images(self) -> int:
+        """How many images the split has."""
+        return self._images
+
     def begin(self, settings: dict[str, Any], resume: Resume) -> None:
         """Make the folder ready, and say in the log what is used again of an earlier call.
 
@@ -144,7 +154,7 @@ class KeptAnswers:
         found = (_ANSWER.fullmatch(name) for name in os.listdir(self.folder))  # noqa: PTH208 - names alone
         return {int(match[1]) for match in found if match and int(match[1]) < self._images}
 
-    def write(self, i: int, rows: Rows) -> None:
+    def write(self, i: int, answer: Answer) -> None:
         """Keep what was answered about image i.
 
         It may be lost with the power: then it is asked for again.
@@ -153,15 +163,19 @@ class KeptAnswers:
             OutputError: it cannot be written.
         """
         with output_errors(self._path(i)):
-            self._write_small(self._path(i), _packed(rows))
+            self._write_small(self._path(i), packed(answer))
 
     def lengths(self, name: str) -> npt.NDArray[np.int64]:
-        """Return how many entries each image has under a name."""
+        """Return how many entries each image has under a name, (N,)."""
         forms = (self._forms(i)[0] for i in range(self._images))
         return np.array([of_image[name][2] for of_image in forms], dtype=np.int64)
 
     def each(self, name: str) -> Iterator[Array]:
-        """Yield what each image has under a name."""
+        """Yield what each image has under a name, in the order of the images.
+
+        Raises:
+            PredictionsError: an answer is damaged; the message says how to mend it.
+        """
         return (self._read(i, name) for i in range(self._images))
 
     def first(self, name: str) -> Array:
@@ -189,7 +203,7 @@ class KeptAnswers:
         path = self.folder / _NOTE
         _refuse_link(path)
         try:
-            return _Note.of(json.loads(read_text(path, _SMALL_BYTES)))
+            return _Note.from_json(json.loads(read_text(path, _SMALL_BYTES)))
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             fault = f"{_NOTE}, which says what the answers beside it are about, is missing or damaged ({error})"
             raise PredictionsError(str(self.folder), [f"{fault}; delete the folder to begin anew"]) from None
@@ -199,13 +213,13 @@ class KeptAnswers:
         with self._damage(i):
             start = sum(size for size, *_ in itertools.takewhile(lambda form: form is not forms[name], forms.values()))
             size, code, *shape = forms[name]
-            return _inflated(data[start : start + size], code, shape)
+            return inflated(data[start : start + size], code, shape)
 
     def _forms(self, i: int) -> tuple[dict[str, list[Any]], memoryview]:
         path = self._path(i)
         _refuse_link(path)
         with self._damage(i):
-            return _forms_and_data(read_bytes(path, _ANSWER_BYTES))
+            return forms_and_data(read_bytes(path, MAX_ANSWER_BYTES))
 
     @contextlib.contextmanager
     def _damage(self, i: int) -> Iterator[None]:
@@ -286,44 +300,3 @@ def _refuse_link(path: Path) -> None:
             f"{path}: is a link, which this program did not make; nothing was written or removed. Remove the link, or "
             "choose another file"
         )
-
-
-def _packed(rows: Rows) -> bytes:
-    """Return the bytes of an answer's file: a checksum, what each array is, and the arrays, deflated.
-
-    A density of 294,912 cells takes 3.5 MB otherwise, and a split 5,000 times that.
-    """
-    deflated = {name: zlib.compress(_by_significance(array), 1) for name, array in rows.items()}
-    forms = {name: [len(deflated[name]), array.dtype.str, *array.shape] for name, array in rows.items()}
-    body = b"".join([json.dumps(forms).encode(), b"\n", *deflated.values()])
-    return f"{zlib.crc32(body):08x}\n".encode() + body
-
-
-def _forms_and_data(file: bytes) -> tuple[dict[str, list[Any]], memoryview]:
-    """Undo `_packed` but for the arrays.
-
-    Raises:
-        ValueError: the checksum is another.
-    """
-    checksum, _, body = file.partition(b"\n")
-    if int(checksum, 16) != zlib.crc32(body):
-        raise ValueError("its checksum is another")
-    head, _, _ = body.partition(b"\n")
-    return json.loads(head), memoryview(body)[len(head) + 1 :]
-
-
-def _inflated(data: memoryview, code: str, shape: list[int]) -> Array:
-    dtype = np.dtype(code)
-    size = dtype.itemsize * int(np.prod(shape, dtype=object))
-    if not 0 <= size <= _ANSWER_BYTES:
-        raise ValueError(f"it says that an array has {size} bytes")
-    found = zlib.decompressobj().decompress(data, size + 1)
-    if len(found) != size:
-        raise ValueError("an array has another size than it says")
-    planes = np.frombuffer(found, np.uint8).reshape(dtype.itemsize, -1)
-    return np.ascontiguousarray(planes.T).view(dtype).reshape(shape)
-
-
-def _by_significance(array: Array) -> bytes:
-    flat = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-    return flat.reshape(-1, array.dtype.itemsize).T.tobytes()

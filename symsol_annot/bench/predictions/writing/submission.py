@@ -16,36 +16,34 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from symsol_annot.bench.predictions.advice import remedies
-from symsol_annot.bench.predictions.format import (
-    DENSITY_FLOOR,
-    MAX_GRID_LEVEL,
-    MAX_HYPOTHESES,
-    REALS,
-    ROTATION_TOLERANCE,
-    STANDARD_THRESHOLD,
-    TRACK_ATTRIBUTES,
-    TRACKS,
-    is_level,
-)
+from symsol_annot.bench.predictions.advice import answer_remedies, remedies
+from symsol_annot.bench.predictions.columns import Array, Column, whole_column
+from symsol_annot.bench.predictions.format import MAX_GRID_LEVEL, REALS, STANDARD_THRESHOLD, is_level
 from symsol_annot.bench.predictions.queries import Queries, group_sha256
-from symsol_annot.bench.predictions.writing.file import Column, Parts, held_predictions
-from symsol_annot.bench.predictions.writing.kept_answers import Array, Resume, Rows
-from symsol_annot.errors import PredictionsError, RotationError, SettingsError
+from symsol_annot.bench.predictions.tracks.classifier import CLASSIFIER, DEFAULT_FLOOR
+from symsol_annot.bench.predictions.tracks.density import DENSITY, DENSITY_FLOOR
+from symsol_annot.bench.predictions.tracks.hypotheses import HYPOTHESES
+from symsol_annot.bench.predictions.tracks.table import TRACKS
+from symsol_annot.bench.predictions.writing.answer_file import Answer
+from symsol_annot.bench.predictions.writing.given_answers import (
+    checked_hypotheses,
+    listed_density,
+    log_densities,
+    probabilities,
+    to_array,
+)
+from symsol_annot.bench.predictions.writing.kept_answers import Resume
+from symsol_annot.bench.predictions.writing.predictions_writer import held_predictions
+from symsol_annot.errors import PredictionsError, SettingsError
 from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_sha256, grid_size
-from symsol_annot.rotations.so3 import Rotations, check_rotations
+from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
-DEFAULT_FLOOR = 0.1
 DEFAULT_BATCH = 2**16
 DEFAULT_DENSITY_FLOOR = 1e-300  # the least that a floor may be, whose logarithm a file may hold
-_UNLISTED_MASS = 1e-12  # what is left to the cells not listed, at the least
-_COARSE_MASS = 1e-4  # what the cells together may have whose log-probabilities are rounded to _COARSE_STEP
-_FINE_STEP, _COARSE_STEP = 2.0**-19, 2.0**-6
 
 
 def write_hypotheses(
@@ -85,7 +83,7 @@ def write_hypotheses(
         raise SettingsError("resume: belongs to a callable; an array is written in one go")
     if weights is not None and callable(hypotheses):
         raise SettingsError("weights: belong to an array of hypotheses; a callable leaves out what is absent")
-    with held_predictions(path, dataset, "hypotheses", {"method": method}, resume) as file:
+    with held_predictions(path, dataset, HYPOTHESES, {"method": method}, resume) as file:
         if not callable(hypotheses):
             columns = _columns_of_array(hypotheses, weights, len(dataset))
             try:
@@ -95,8 +93,11 @@ def write_hypotheses(
                 raise _with_remedy(str(path), error, remedy) from None
             return
         ask = hypotheses
-        parts = file.collect(lambda i: {"hypotheses": _checked_hypotheses(ask(i), i)}, resume=resume, progress=progress)
-        file.write(_padded(parts.column("hypotheses")))
+
+        def answer(i: int) -> Answer:
+            return {"hypotheses": checked_hypotheses(ask(i), i)}
+
+        file.write(HYPOTHESES.columns(file.collect(answer, resume=resume, progress=progress)))
 
 
 def write_classifier(
@@ -140,29 +141,31 @@ def write_classifier(
     attributes["group_sha256"] = group_sha256(dataset.symmetry_group)
     advice = "each image is asked at its own queries; answers in the form of the file go to write_columns"
     _refuse_no_callable(classify, "classify", f"; {advice}")
-    with held_predictions(path, dataset, "classifier", {"method": method, **attributes}, resume) as file:
-        grid, queries = equivolumetric_grid(level), Queries(dataset.fingerprint, dataset.symmetry_group)
-        rotation = dataset.labels().rotation
+    with held_predictions(path, dataset, CLASSIFIER, {"method": method, **attributes}, resume) as file:
+        answer = _classifier_answers(classify, dataset, floor=floor, level=level, batch_size=batch_size)
+        file.write(CLASSIFIER.columns(file.collect(answer, resume=resume, progress=progress)))
 
-        def ask(i: int) -> Rows:
-            at_queries = _probabilities(classify, i, queries.rotations(i, rotation[i]), batch_size)
-            on_grid = _probabilities(classify, i, grid, batch_size)
-            if all(remedies.is_normalised(answers, batch_size) for answers in (at_queries, on_grid)):
-                raise SettingsError(f"image {i}: {remedies.normalised_classifier(level, len(grid))}")
-            listed = np.flatnonzero(on_grid > np.float32(floor))
-            return {
-                "query_probability": at_queries,
-                "grid_indices": listed.astype(np.int32),
-                "grid_probabilities": on_grid[listed],
-            }
 
-        parts = file.collect(ask, resume=resume, progress=progress)
-        file.write(
-            {
-                "query_probability": parts.dense("query_probability"),
-                **_sparse(parts, "grid_offsets", "grid_indices", "grid_probabilities"),
-            }
-        )
+def _classifier_answers(
+    classify: Callable[[int, Rotations], Array], dataset: Dataset, *, floor: float, level: int, batch_size: int
+) -> Callable[[int], Answer]:
+    """Return what takes an image's index to the classifier's answers at its queries and on the grid."""
+    grid, queries = equivolumetric_grid(level), Queries(dataset.fingerprint, dataset.symmetry_group)
+    rotation = dataset.labels().rotation
+
+    def answer(i: int) -> Answer:
+        at_queries = probabilities(classify, i, queries.rotations(i, rotation[i]), batch_size)
+        on_grid = probabilities(classify, i, grid, batch_size)
+        if all(answer_remedies.is_normalised(answers, batch_size) for answers in (at_queries, on_grid)):
+            raise SettingsError(f"image {i}: {answer_remedies.normalised_classifier(level, len(grid))}")
+        listed = np.flatnonzero(on_grid > np.float32(floor))
+        return {
+            "query_probability": at_queries,
+            "grid_indices": listed.astype(np.int32),
+            "grid_probabilities": on_grid[listed],
+        }
+
+    return answer
 
 
 def write_density(
@@ -206,27 +209,42 @@ def write_density(
     if not DEFAULT_DENSITY_FLOOR <= floor < 1.0:
         raise SettingsError(f"floor: expected at least {DEFAULT_DENSITY_FLOOR} and less than 1, found {floor}")
     attributes = {"method": method, **_grid_attributes(level, batch_size), DENSITY_FLOOR: float(floor)}
-    remedy = remedies.density_of_array(log_density, len(dataset), level, grid_size(level))
+    remedy = answer_remedies.density_of_array(log_density, len(dataset), level, grid_size(level))
     _refuse_no_callable(log_density, "log_density", remedy)
-    with held_predictions(path, dataset, "density", attributes, resume) as file:
-        grid = equivolumetric_grid(level)
+    with held_predictions(path, dataset, DENSITY, attributes, resume) as file:
+        answer = _density_answers(log_density, floor=floor, level=level, batch_size=batch_size)
+        file.write(DENSITY.columns(file.collect(answer, resume=resume, progress=progress)))
 
-        def ask(i: int) -> Rows:
-            log_p = _log_densities(log_density, i, grid, batch_size)
-            if fault := remedies.fault_of_log_densities(log_p, batch_size, level):
-                raise SettingsError(f"image {i}: expected log-densities; {fault}")
-            log_p = log_p - log_p.max()
-            log_p -= np.log(np.exp(log_p).sum())
-            return _listed_density(log_p, floor)
 
-        parts = file.collect(ask, resume=resume, progress=progress)
-        file.write(_sparse(parts, "density_offsets", "density_indices", "density_log_probabilities"))
+def _density_answers(
+    log_density: Callable[[int, Rotations], Array], *, floor: float, level: int, batch_size: int
+) -> Callable[[int], Answer]:
+    """Return what takes an image's index to its density on the grid, made to add up to 1."""
+    grid = equivolumetric_grid(level)
+
+    def answer(i: int) -> Answer:
+        log_p = log_densities(log_density, i, grid, batch_size)
+        if fault := answer_remedies.fault_of_log_densities(log_p, batch_size, level):
+            raise SettingsError(f"image {i}: expected log-densities; {fault}")
+        log_p = log_p - log_p.max()
+        log_p -= np.log(np.exp(log_p).sum())
+        return listed_density(log_p, floor)
+
+    return answer
 
 
 def write_columns(
     path: PathLike, dataset: Dataset, track: str, columns: Mapping[str, Array], *, method: str, **attributes: Any
 ) -> None:
     """Write a track from arrays that have the form of the file already (docs/submission.md), images in order.
+
+    Args:
+        path: of the predictions file.
+        dataset: the whole split.
+        track: its name, one of `TRACKS`.
+        columns: names of the track's data sets to arrays, a row per image or, of sparse rows, their entries.
+        method: what the method calls itself.
+        attributes: of the file, such as `grid_level` and `floor`; what is left out gets its standard value.
 
     Raises:
         SettingsError: there is no such track, data set or attribute, or the dataset is a slice.
@@ -236,19 +254,16 @@ def write_columns(
     """
     if track not in TRACKS:
         raise SettingsError(f"there is no track {track!r}; tracks are {', '.join(TRACKS)}")
-    expected = (*TRACKS[track], *TRACK_ATTRIBUTES[track])
-    odd = [name for name in columns if name not in TRACKS[track]]
-    odd += [name for name in attributes if name not in TRACK_ATTRIBUTES[track]]
+    chosen = TRACKS[track]
+    odd = [name for name in columns if name not in chosen.datasets]
+    odd += [name for name in attributes if name not in chosen.attributes]
     if odd:
+        expected = (*chosen.datasets, *chosen.attributes)
         raise SettingsError(f"{', '.join(odd)}: not of the track {track!r}, which has {', '.join(expected)}")
-    if track != "hypotheses":
-        level = attributes.setdefault("grid_level", STANDARD_LEVEL)
-        attributes.setdefault("grid_sha256", grid_sha256(level))
-    if track == "classifier":
-        attributes.setdefault("group_sha256", group_sha256(dataset.symmetry_group))
-        attributes.setdefault("floor", DEFAULT_FLOOR)
+    defaults = chosen.defaults(dataset, attributes)
+    attributes |= {name: value for name, value in defaults.items() if name not in attributes}
     made = {name: _column(column, name) for name, column in columns.items()}
-    with held_predictions(path, dataset, track, {"method": method, **attributes}, resume=False) as file:
+    with held_predictions(path, dataset, chosen, {"method": method, **attributes}, resume=False) as file:
         file.write(made)
 
 
@@ -257,30 +272,18 @@ def _refuse_no_callable(given: Any, name: str, advice: str) -> None:
         raise SettingsError(f"{name}: expected a callable, found {type(given).__name__}{advice}")
 
 
-def _array(given: Any, what: str, remedy: Callable[[], str] = str) -> Array:
-    """Return what a caller gave as an array of numbers; `remedy` says how what is none is mended."""
-    try:
-        array = np.asarray(given)
-    except (ValueError, TypeError, RuntimeError) as error:  # rows of different lengths; a tensor elsewhere
-        raise SettingsError(f"{what}: expected an array of numbers: {error}{remedy()}") from None
-    if array.dtype.kind not in "biuf":
-        found = f"{array.dtype} of shape {array.shape}"
-        raise SettingsError(f"{what}: expected an array of numbers, found {found}{remedy()}")
-    return array
-
-
 def _column(given: Any, name: str) -> Column:
-    array = _array(given, name, lambda: remedies.remedy_for_numbers(given, name))
+    array = to_array(given, name, lambda: remedies.remedy_for_numbers(given, name))
     if array.ndim == 0:
         raise SettingsError(f"{name}: expected an array, found the number {array}")
-    return Column.of(array)
+    return whole_column(array)
 
 
 def _columns_of_array(hypotheses: Any, weights: Any, images: int) -> dict[str, Column]:
     def remedy() -> str:
         return remedies.remedy_for_array(hypotheses, images)
 
-    array = _array(hypotheses, "hypotheses", remedy)
+    array = to_array(hypotheses, "hypotheses", remedy)
     is_formed = array.dtype.str in REALS and array.ndim == 4 and array.shape[2:] == (3, 3) and len(array) == images
     if not is_formed and (mending := remedy()):
         found = f"{array.dtype} of shape {array.shape}"
@@ -297,25 +300,6 @@ def _with_remedy(path: str, error: PredictionsError, remedy: str) -> Predictions
     return PredictionsError(path, [*error.faults[:-1], error.faults[-1] + remedy])
 
 
-def _checked_hypotheses(returned: Any, i: int) -> Array:
-    def remedy() -> str:
-        return remedies.remedy_for_answer(returned)
-
-    what = f"hypotheses of image {i}"
-    hypotheses = _array(returned, what, remedy)
-    tolerance = ROTATION_TOLERANCE.get(hypotheses.dtype.str)
-    if hypotheses.ndim != 3 or not 1 <= len(hypotheses) <= MAX_HYPOTHESES or tolerance is None:
-        raise SettingsError(
-            f"{what}: expected float32 or float64 of shape (m, 3, 3) with m from 1 to {MAX_HYPOTHESES}, found "
-            f"{hypotheses.dtype} of shape {hypotheses.shape}{remedy()}"
-        )
-    try:
-        check_rotations(hypotheses, what, tolerance)
-    except RotationError as error:
-        raise RotationError(f"{error}{remedy()}") from None
-    return hypotheses
-
-
 def _grid_attributes(level: int, batch_size: int) -> dict[str, Any]:
     """Return what a file says about its grid, after checking what a writer was told about it."""
     if not is_level(level):
@@ -323,94 +307,3 @@ def _grid_attributes(level: int, batch_size: int) -> dict[str, Any]:
     if batch_size < 1:
         raise SettingsError(f"batch_size: expected at least 1, found {batch_size}")
     return {"grid_level": level, "grid_sha256": grid_sha256(level)}
-
-
-def _padded(hypotheses: list[Array]) -> dict[str, Column]:
-    """Return columns in which every image has as many hypotheses, the added ones with weight 0."""
-    most = max(len(h) for h in hypotheses)
-    dtype = min((h.dtype for h in hypotheses), key=lambda dtype: dtype.itemsize)  # a file has one precision
-    rows = np.tile(np.eye(3, dtype=dtype), (len(hypotheses), most, 1, 1))
-    weights = np.zeros((len(hypotheses), most), dtype=np.float32)
-    for row, weight, h in zip(rows, weights, hypotheses, strict=True):
-        row[: len(h)], weight[: len(h)] = h, 1.0
-    columns = {"hypotheses": Column.of(rows)}
-    return columns if weights.all() else {**columns, "hypothesis_weights": Column.of(weights)}
-
-
-def _sparse(parts: Parts, offsets: str, indices: str, values: str) -> dict[str, Column]:
-    lengths = parts.lengths(indices)
-    bounds = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    return {
-        offsets: Column.of(bounds),
-        indices: parts.sparse(indices, lengths),
-        values: parts.sparse(values, lengths),
-    }
-
-
-def _ask(
-    f: Callable[[int, Rotations], Array], i: int, rotations: Rotations, batch_size: int, name: str
-) -> npt.NDArray[np.float64]:
-    answers = []
-    for start in range(0, len(rotations), batch_size):
-        batch = rotations[start : start + batch_size].copy()  # whoever is asked may write to it
-        answers.append(_one_each(f(i, batch), i, len(batch), name))
-    return np.concatenate(answers)
-
-
-def _one_each(returned: Any, i: int, count: int, name: str) -> npt.NDArray[np.float64]:
-    """Return an answer about so many rotations, one number for each."""
-
-    def remedy() -> str:
-        return remedies.remedy_for_values(returned, count, name)
-
-    answer = _array(returned, f"image {i}", remedy)
-    if answer.shape != (count,):
-        raise SettingsError(
-            f"image {i}: asked about {count} rotations, the answer has the shape {answer.shape}{remedy()}"
-        )
-    return answer.astype(np.float64)
-
-
-def _probabilities(
-    f: Callable[[int, Rotations], Array], i: int, rotations: Rotations, batch_size: int
-) -> npt.NDArray[np.float32]:
-    answers = _ask(f, i, rotations, batch_size, "classify").astype(np.float32)
-    strange = ~((answers >= 0) & (answers <= 1))  # NaN is strange too
-    if strange.any():
-        remedy = remedies.remedy_for_probabilities(answers)
-        raise SettingsError(f"image {i}: expected probabilities from 0 to 1, found {answers[strange][0]}{remedy}")
-    return answers
-
-
-def _log_densities(
-    f: Callable[[int, Rotations], Array], i: int, rotations: Rotations, batch_size: int
-) -> npt.NDArray[np.float64]:
-    log_p = _ask(f, i, rotations, batch_size, "log_density")
-    highest = log_p.max()
-    if not np.isfinite(highest):  # NaN, if there is one
-        remedy = remedies.remedy_for_infinity() if highest == np.inf else ""
-        raise SettingsError(f"image {i}: expected log-densities, at least one of them finite, found {highest}{remedy}")
-    return log_p
-
-
-def _listed_density(log_p: npt.NDArray[np.float64], floor: float) -> Rows:
-    """Return the cells that are stored, and their log-probabilities.
-
-    A cell that is not stored gets its share of what is left of 1, which is 1e-12 at the least, since a sum of float64
-    tells no less from nothing. Where that share would be more than the floor, all cells are stored, none as less than
-    the floor.
-    """
-    listed = np.flatnonzero(~(log_p <= np.log(floor)))
-    if (len(log_p) - len(listed)) * floor < _UNLISTED_MASS:
-        kept = _rounded(np.maximum(log_p, np.log(floor)))
-        return {"density_indices": np.arange(len(kept), dtype=np.int32), "density_log_probabilities": kept}
-    kept = log_p[listed]
-    mass = np.exp(kept).sum()
-    kept = kept - max(0.0, np.log(mass) - np.log1p(-_UNLISTED_MASS)) if mass > 0 else kept
-    return {"density_indices": listed.astype(np.int32), "density_log_probabilities": np.minimum(kept, 0.0)}
-
-
-def _rounded(log_p: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return log-probabilities that gzip makes small: off by 1e-6 at most, and by 2^-7 for cells of next to nothing."""
-    step = np.where(log_p > np.log(_COARSE_MASS / len(log_p)), _FINE_STEP, _COARSE_STEP)
-    return np.minimum(np.rint(log_p / step) * step, 0.0)

@@ -1,0 +1,103 @@
+"""The rule: which of an image's candidate rotations draw that image (section 5.1.2, eqs. 5.1 to 5.4).
+
+One rule, for every object. C is the body's symmetry group, H the marking's stabiliser within it, p(R) the
+marking's visible area in pixels at R, and T the object's tolerance. A coset R H shows the marking where p reaches T
+at one of its rotations:
+
+    R_gt H shows it:    S = { R_gt g : g in H }
+    R_gt H hides it:    S = { R_gt g : g in C, R_gt g H hides it }
+
+A body without marking shows none anywhere, so S = { R_gt g : g in C }.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.annotation.visibility import MarkingVisibility
+from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.rendering.renderer import Renderer
+from symsol_annot.rotations.so3 import Rotations
+
+
+@dataclass(frozen=True, eq=False)
+class Annotation:
+    """One image's symmetry set over the candidates R_gt g.
+
+    Attributes:
+        mask: (G,) bool, which g of the body's group are in the set; S = R_gt @ symmetry_group[mask].
+        candidate_px: (G,) f8, the largest p in pixels over the coset R_gt g H; NaN where the rule did not need it.
+            Where geometry decided, an area on the same side of the tolerance, and 0 where p is 0.
+    """
+
+    mask: npt.NDArray[np.bool_]
+    candidate_px: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Annotator:
+    """Applies the rule to images of one object.
+
+    Attributes:
+        spec: the object.
+        renderer: draws candidates.
+        visibility: decides most of them without drawing; the sets are the same without it.
+    """
+
+    spec: ObjectSpec
+    renderer: Renderer
+    visibility: MarkingVisibility | None = None
+
+    def is_shown(self, area_px: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Tell where an area p in pixels counts as shown: p >= T, never for a body without marking."""
+        tolerance_px = np.inf if self.spec.tolerance_px is None else self.spec.tolerance_px
+        return np.asarray(np.asarray(area_px) >= tolerance_px)
+
+    def coset_px(self, R_gt: Rotations, view_px: float) -> float:
+        """Return the area in pixels by which an image's coset R_gt H shows the marking; a shard stores it.
+
+        That is the image's own p(R_gt); but where it is below T and another rotation of the coset reaches T, the
+        largest p of the coset: a rasteriser can count one more lattice point at one of them.
+
+        Args:
+            R_gt: (3, 3) the image's rotation.
+            view_px: p(R_gt), as the image itself shows it.
+        """
+        others = R_gt @ self.spec.stabiliser[1:]
+        if self.spec.marking is None or self.is_shown(view_px) or not len(others):
+            return view_px
+        if not self.is_shown(self._areas_px(others)).any():
+            return view_px
+        return float(self.renderer.marking_pixels(others).max())
+
+    def annotate(self, R_gt: Rotations, coset_px: float) -> Annotation:
+        """Return the symmetry set of the image at R_gt.
+
+        Args:
+            R_gt: (3, 3) the image's rotation.
+            coset_px: by which its coset shows the marking, in pixels, from `coset_px`.
+        """
+        cosets, order = self.spec.cosets, len(self.spec.symmetry_group)
+        if self.spec.marking is None:
+            return Annotation(np.ones(order, dtype=bool), np.zeros(order))
+        candidate_px = np.full(order, np.nan)
+        candidate_px[cosets[0]] = coset_px
+        if self.is_shown(coset_px):
+            mask = np.zeros(order, dtype=bool)
+            mask[cosets[0]] = True
+            return Annotation(mask, candidate_px)
+        others = cosets[1:]
+        candidates = R_gt @ self.spec.symmetry_group[others.reshape(-1)]
+        candidate_px[others] = self._areas_px(candidates).reshape(others.shape).max(axis=1, keepdims=True)
+        return Annotation(~self.is_shown(candidate_px), candidate_px)
+
+    def _areas_px(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
+        """Return areas (n,) in pixels, from geometry where that decides, and drawn elsewhere."""
+        if self.visibility is None or self.spec.marking is None:
+            return self.renderer.marking_pixels(R_m2c)
+        areas_px = self.visibility.areas(R_m2c, self.spec.marking.tolerance_px)
+        undecided = np.isnan(areas_px)
+        if undecided.any():
+            areas_px[undecided] = self.renderer.marking_pixels(R_m2c[undecided])
+        return areas_px

@@ -1,0 +1,216 @@
+"""What the files of a leaderboard say: image sets, results on them, reference rows, and the thesis's own numbers.
+
+Strangers send these files in: names, numbers and shapes are checked here, words are escaped by who shows them.
+"""
+
+import datetime as dt
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from symsol_annot.bench.models.recipe import builtin_recipes
+from symsol_annot.bench.predictions.structure import shown
+from symsol_annot.bench.scoring.metric import Place
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
+from symsol_annot.system.text.names import OBJECT_NAME_RULE, SPLITS, is_object_name, is_split
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageSet:
+    """What results are about.
+
+    Attributes:
+        title: in words.
+        split: which.
+        images: how many that has of each object.
+        commands: what makes the set.
+        fingerprints: object to that of its split.
+        notes: more in words.
+    """
+
+    title: str
+    split: str
+    images: int
+    commands: tuple[str, ...]
+    fingerprints: Mapping[str, str]
+    notes: str = ""
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        if self.images < 1:
+            yield f"images: expected 1 or more, found {self.images}"
+        if not is_split(self.split):
+            yield f"split: expected one of {', '.join(SPLITS)}, found {shown(self.split)}"
+        yield from (f"fingerprints: {fault}" for fault in _faults_of_objects(self.fingerprints))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """How the model of one object came to be.
+
+    Attributes:
+        seed: of the training.
+        minutes: it took.
+        processor_minutes: of the host's processor, in all threads; None where not known.
+        first_stage: what it began with, where that was trained before.
+    """
+
+    seed: int
+    minutes: float
+    processor_minutes: float | None = None
+    first_stage: str = ""
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        if self.seed < 0:
+            yield f"seed: expected 0 or more, found {self.seed}"
+        for name, minutes in (("minutes", self.minutes), ("processor_minutes", self.processor_minutes)):
+            if minutes is not None and not 0 <= minutes < math.inf:
+                yield f"{name}: expected a finite number, 0 or more, found {minutes}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Account:
+    """A result's own account of itself.
+
+    Attributes:
+        title: the method.
+        by: who sends it in.
+        date: of the scores.
+        hardware: what the models were trained on.
+        commands: from the set to the scores; none where `code` says how the predictions were made.
+        recipe: of this package, if it was trained by one.
+        code: where the method's code is, or what it is described in.
+        notes: more in words.
+        objects: object to training.
+    """
+
+    title: str
+    by: str
+    date: dt.date
+    hardware: str
+    commands: tuple[str, ...] = ()
+    recipe: str = ""
+    code: str = ""
+    notes: str = ""
+    objects: Mapping[str, Training]
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        for name in ("title", "by", "hardware"):
+            if not getattr(self, name).strip():
+                yield f"{name}: is empty"
+        if not any(text.strip() for text in (*self.commands, self.code)):
+            yield "commands, code: one of them has to say how the predictions were made"
+        if self.recipe and self.recipe not in builtin_recipes():
+            yield f"recipe: there is no {shown(self.recipe)} built in; leave it out"
+        for name, training in self.objects.items():
+            yield from (f"objects.{name}.{fault}" for fault in training.faults())
+
+
+@dataclass(frozen=True)
+class Result:
+    """One result on one set.
+
+    Attributes:
+        name: of its files.
+        account: how it came to be.
+        scores: object to what scores.json says of it.
+    """
+
+    name: str
+    account: Account
+    scores: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A reference row on one set: of a method that knows the answer, half of it, or nothing.
+
+    Attributes:
+        name: of its file.
+        method: what it is.
+        scores: object to what scores.json says of it.
+    """
+
+    name: str
+    method: str
+    scores: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThesisTable:
+    """A table of the thesis.
+
+    Attributes:
+        track, metric: their names in scores.json.
+        objects: its columns.
+        rows: recipe to a value per object; NaN where the thesis has none.
+    """
+
+    track: str
+    metric: str
+    objects: tuple[str, ...]
+    rows: Mapping[str, tuple[float, ...]]
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        metrics = {track: [metric.name for metric in metrics_shown(track, Place.LEADERBOARD)] for track in SCORINGS}
+        if self.track not in metrics:
+            yield f"track: expected one of {', '.join(metrics)}, found {shown(self.track)}"
+        elif self.metric not in metrics[self.track]:
+            yield f"metric: expected one of {', '.join(metrics[self.track])}, found {shown(self.metric)}"
+        yield from (f"objects: {fault}" for fault in _faults_of_objects(self.objects))
+        for recipe, values in self.rows.items():
+            if recipe not in builtin_recipes():
+                yield f"rows: there is no recipe {shown(recipe)} built in"
+            elif len(values) != len(self.objects):
+                yield f"rows.{recipe}: expected a number per object, {len(self.objects)}, found {len(values)}"
+            elif any(math.isinf(value) for value in values):
+                yield f"rows.{recipe}: expected finite numbers, or nan where the thesis has none"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thesis:
+    """The thesis's own numbers.
+
+    Attributes:
+        notes: on what they are, in Markdown.
+        tables: by number and what they show.
+        small: recipe to the one of the small tier that stands for it.
+    """
+
+    notes: str
+    tables: Mapping[str, ThesisTable]
+    small: Mapping[str, str]
+
+    def faults(self) -> Iterator[str]:
+        """Say what is wrong with it."""
+        for recipe, name in self.small.items():
+            if name not in builtin_recipes():
+                yield f"small.{recipe}: there is no recipe {shown(name)} built in"
+        for title, table in self.tables.items():
+            yield from (f"tables.{title}.{fault}" for fault in table.faults())
+
+
+@dataclass(frozen=True)
+class Leaderboard:
+    """All of it.
+
+    Attributes:
+        sets: folder to image set.
+        results: folder to the results on that set, by name.
+        references: folder to the reference rows on that set, by name.
+        thesis: its own numbers.
+    """
+
+    sets: Mapping[str, ImageSet]
+    results: Mapping[str, tuple[Result, ...]]
+    references: Mapping[str, tuple[Reference, ...]]
+    thesis: Thesis
+
+
+def _faults_of_objects(names: Iterable[str]) -> Iterator[str]:
+    """Say which names are no object's."""
+    yield from (f"{shown(name)}: an object's name has {OBJECT_NAME_RULE}" for name in names if not is_object_name(name))

@@ -1,0 +1,67 @@
+"""The kinds of models, in one table: a new method is a room in `methods`, with a recipe's class, and an entry here."""
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TypeAlias
+
+from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.methods.method import Method
+
+Recipe: TypeAlias = HypothesisRecipe | ClassifierRecipe
+
+
+@dataclass(frozen=True)
+class ModelKind:
+    """All that is known of a kind of model.
+
+    Attributes:
+        name: the value of a recipe's key `model`.
+        title: in messages.
+        recipe: its class, whose fields are the recipe's keys.
+        track: of its predictions.
+        best_by: the metric of that track by which the best epoch is chosen.
+        module: has METHOD; by its name, as recipes are read without torch.
+    """
+
+    name: str
+    title: str
+    recipe: type[Recipe]
+    track: str
+    best_by: str
+    module: str
+
+    @property
+    def method(self) -> Method:
+        """How its models are built, trained and asked; imports torch."""
+        method: Method = import_module(self.module).METHOD
+        return method
+
+
+_METHODS = "symsol_annot.bench.models.methods"
+MODEL_KINDS = {
+    kind.name: kind
+    for kind in (
+        ModelKind(
+            name="hypotheses",
+            title="hypothesis network",
+            recipe=HypothesisRecipe,
+            track="hypotheses",
+            best_by="recall_mean_error_rad",
+            module=f"{_METHODS}.hypotheses.method",
+        ),
+        ModelKind(
+            name="classifier",
+            title="classifier",
+            recipe=ClassifierRecipe,
+            track="classifier",
+            best_by="f_measure",
+            module=f"{_METHODS}.classifier.method",
+        ),
+    )
+}
+
+
+def kind_of(recipe: Recipe) -> ModelKind:
+    """Return the kind of model that a recipe is of."""
+    return next(kind for kind in MODEL_KINDS.values() if isinstance(recipe, kind.recipe))

@@ -1,0 +1,1 @@
+"""A classifier of rotations (chapters 6 and 7)."""

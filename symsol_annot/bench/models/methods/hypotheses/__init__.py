@@ -1,0 +1,1 @@
+"""M hypotheses per image (chapters 4 and 5)."""

@@ -1,0 +1,75 @@
+"""What a method is to the training loop and to `predict`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+    from symsol_annot.bench.models.batches import Batch
+    from symsol_annot.bench.models.networks.reference_model import ReferenceModel
+    from symsol_annot.bench.models.validation import Figures
+    from symsol_annot.rotations.so3 import Rotations
+    from symsol_annot.sets.dataset import Dataset, Labels
+
+
+class Learner(Protocol):
+    """A model with its recipe, as it is trained."""
+
+    @property
+    def model(self) -> ReferenceModel:
+        """What is trained."""
+
+    def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:
+        """Return the losses (B,) of a batch's images.
+
+        Args:
+            batch: on the model's device.
+            epoch: on the recipe's scale, with a fraction within it.
+            rng: on the model's device.
+        """
+
+    def evaluate(self, images: Tensor, labels: Labels) -> Figures:
+        """Return figures of validation images (N, H, W, 3), uint8, on any device; the model is left in eval mode."""
+
+
+class Method(Protocol):
+    """How models of one kind are built, trained and asked; a recipe and a model are always of that kind."""
+
+    def new_model(self, recipe: Any, pretrained: str | None, rng: torch.Generator) -> ReferenceModel:
+        """Return a recipe's model.
+
+        Args:
+            recipe: names the backbone.
+            pretrained: weights of the backbone, by name or path; None for a random start.
+            rng: draws all other weights.
+
+        Raises:
+            WeightsError: the pretrained weights cannot be had.
+        """
+
+    def learner(self, recipe: Any, model: Any, symmetry_group: Rotations) -> Learner:
+        """Return what trains a model by its recipe, on images of a body with a group (G, 3, 3)."""
+
+    def write_predictions(
+        self, model: Any, dataset: Dataset, path: Path, *, method: str, level: int, resume: str
+    ) -> None:
+        """Write a model's predictions about a split, in float32.
+
+        Args:
+            model: on the device that computes.
+            dataset: the whole split.
+            path: of the predictions file.
+            method: what the file says it is by.
+            level: of the grid that a classifier is asked on.
+            resume: names the model: kept answers of another are refused.
+
+        Raises:
+            ModelError: the device has too little memory.
+            NotAnnotatedError: the split has no symmetry sets.
+            PredictionsError: the file is there and about something else, or another model's answers are kept beside it.
+            OutputError: another process writes it, or it cannot be written.
+        """

@@ -1,0 +1,37 @@
+"""What models in eval mode say of images, worked out in batches of bounded size, without gradients."""
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from symsol_annot.bench.models.networks.hypothesis_network import HypothesisNetwork
+from symsol_annot.bench.models.networks.reference_model import ReferenceModel
+from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
+
+_ROTATIONS_AT_ONCE = 2**15
+_ROTATIONS_AT_ONCE_ON_CPU = 2**12  # twice as fast as 2^15, which its caches do not hold
+
+
+@torch.no_grad()
+def all_hypotheses(model: HypothesisNetwork, images: Tensor, batch_size: int) -> npt.NDArray[np.float32]:
+    """Return the hypotheses (N, M, 3, 3) of images (N, H, W, 3), uint8, on any device, in float32."""
+    model.eval()
+    device = model.device
+    return torch.cat([model(part.to(device)).cpu() for part in torch.split(images, batch_size)]).numpy()
+
+
+@torch.no_grad()
+def embeddings_of(model: ReferenceModel, images: Tensor, batch_size: int) -> Tensor:
+    """Return the embeddings (N, E), on the model's device, of images (N, H, W, 3), uint8, on any device."""
+    model.eval()
+    device = model.device
+    return torch.cat([model.first_stage(part.to(device)) for part in torch.split(images, batch_size)])
+
+
+@torch.no_grad()
+def probabilities(model: RotationClassifier, embedding: Tensor, R: Tensor) -> Tensor:
+    """Return f(I, R) (Q,) of one embedded image (E,) at rotations (Q, 3, 3)."""
+    at_once = _ROTATIONS_AT_ONCE_ON_CPU if embedding.device.type == "cpu" else _ROTATIONS_AT_ONCE
+    parts = [model.logits(embedding[None], part)[0] for part in torch.split(R, at_once)]
+    return torch.cat(parts).sigmoid()

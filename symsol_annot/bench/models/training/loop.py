@@ -1,0 +1,338 @@
+"""Training a model by a recipe: epoch after epoch, each of them kept, so that it goes on wherever it was stopped."""
+
+import importlib.util
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from symsol_annot.bench.models.batches import Batch, decode_images
+from symsol_annot.bench.models.devices import (
+    choose_device,
+    full_precision,
+    has_bfloat16,
+    laid_out_for,
+    largest_that_fits,
+)
+from symsol_annot.bench.models.kinds import Recipe, kind_of
+from symsol_annot.bench.models.networks.first_stage import FirstStage
+from symsol_annot.bench.models.networks.reference_model import ReferenceModel
+from symsol_annot.bench.models.recipe_keys import MAX_EPOCHS, RANDOM, TRAINED_STARTS
+from symsol_annot.bench.models.training import checkpoints
+from symsol_annot.bench.models.training.batch_sources import generator, open_batches
+from symsol_annot.bench.models.training.curve import plot_curve
+from symsol_annot.bench.models.training.pretraining import best_network, trained_networks
+from symsol_annot.bench.models.training.record import MAX_SEED, EpochFigures, TrainingRecord, software
+from symsol_annot.errors import NotAnnotatedError, SettingsError, TrainingError, bulleted
+from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.system.locks import held_folder
+from symsol_annot.system.text.names import METHOD_NAME_RULE, is_method_name
+
+OnStart = Callable[[TrainingRecord, int], object]
+OnBatch = Callable[[int], object]
+OnEpoch = Callable[[TrainingRecord], object]
+_STEPS_BETWEEN_CHECKS = 50  # of the loss: each makes the host wait for the GPU
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a recipe is carried out.
+
+    Attributes:
+        epochs: in place of the recipe's, whose schedule is stretched or shortened to them.
+        seed: of the first weights, the order of images, and random rotations.
+        device: torch's name of one, or "auto".
+        pretrained: hypothesis networks to choose the first stage from; empty for all that lie beside the output folder.
+        is_compiled: whether torch.compile makes the first stage faster, after a minute or so.
+    """
+
+    epochs: int | None = None
+    seed: int = 0
+    device: str = "auto"
+    pretrained: tuple[Path, ...] = ()
+    is_compiled: bool = False
+
+
+def train(
+    recipe: Recipe,
+    dataset: Dataset,
+    out: Path,
+    options: Options,
+    *,
+    name: str = "",
+    on_start: OnStart = lambda *_: None,
+    on_batch: OnBatch = lambda _: None,
+    on_epoch: OnEpoch = lambda _: None,
+) -> TrainingRecord:
+    """Train a model, or go on with what a folder holds of the same training.
+
+    Args:
+        recipe: for the dataset's object.
+        dataset: the train split.
+        out: the checkpoint's folder.
+        options: epochs, seed, device.
+        name: of the recipe, by the rule for a method's; "" where it has none.
+        on_start: told what is there already, and how many images an epoch learns from.
+        on_batch: told of each batch how many images it has.
+        on_epoch: told of each epoch, once it is kept.
+
+    Raises:
+        SettingsError: validation images that leave none, a device that is not here, or epochs, a seed or a name that
+            no checkpoint can hold.
+        NotAnnotatedError: validation images, or hard negatives, without symmetry sets.
+        TrainingError: a loss that is not finite, a GPU's memory that is too small, or a folder of another training.
+        WeightsError: first weights that cannot be had, or a damaged checkpoint.
+        OutputError: a file that cannot be written.
+    """
+    device = choose_device(options.device)
+    record = new_record(recipe, dataset, options, device, name)
+    _check(recipe, dataset)
+    with held_folder(out), full_precision(benchmark=device.type == "cuda"):
+        loop = TrainingLoop(record, dataset, out, options, device)
+        on_start(loop.record, loop.images_per_epoch)
+        while not loop.record.is_finished:
+            loop.one_epoch(on_batch)
+            on_epoch(loop.record)
+    return loop.record
+
+
+class TrainingLoop:
+    """A training under way: a model, its optimiser and its batches, after some of its epochs.
+
+    Args:
+        record: of the training, with no epochs yet.
+        dataset: the train split.
+        out: the checkpoint's folder; where it holds epochs of the same training, the loop goes on after them.
+        options: how the recipe is carried out.
+        device: that the model is trained on.
+
+    Attributes:
+        record: with the figures of all finished epochs.
+
+    Raises:
+        TrainingError: the folder holds another training.
+        WeightsError: first weights that cannot be had, or a damaged checkpoint.
+    """
+
+    def __init__(
+        self, record: TrainingRecord, dataset: Dataset, out: Path, options: Options, device: torch.device
+    ) -> None:
+        self.record, self._out, self._device = record, out, device
+        if _is_begun(out):
+            there, state = checkpoints.read_checkpoint_file(out / checkpoints.STATE_FILE)
+            _refuse_other(out, there, record)
+            self._take(checkpoints.new_model(record.recipe, None, record.seed), dataset)
+            checkpoints.restore(out / checkpoints.STATE_FILE, state.tensors, self._model, self._optimizer)
+            del state  # as large as model and optimiser
+            self.record = replace(there, software=record.software)
+            self._publish()
+        else:
+            model, first_stage = _first_model(record, out, options)
+            self.record = replace(record, first_stage=first_stage)
+            self._take(model, dataset)
+        if options.is_compiled:
+            self._model.first_stage.compile()
+        recipe = record.recipe
+        learnt = len(dataset) - recipe.validation_images
+        self._source = open_batches(
+            dataset[:learnt],
+            recipe.batch_size,
+            record.seed,
+            device,
+            with_rejected=recipe.needs_rejected_candidates,
+        )
+        self._validation_images = _validation_images(dataset[learnt:]) if recipe.validation_images else None
+
+    def _take(self, model: ReferenceModel, dataset: Dataset) -> None:
+        """Take a model to the device, and make what trains it."""
+        recipe = self.record.recipe
+        self._model = laid_out_for(self._device, model)
+        self._learner = kind_of(recipe).method.learner(recipe, self._model, dataset.symmetry_group)
+        self._optimizer = torch.optim.Adam(self._model.parameters(), lr=recipe.learning_rates[0], fused=True)
+
+    @property
+    def images_per_epoch(self) -> int:
+        """How many images an epoch learns from."""
+        return self._source.batches_per_epoch() * self._source.batch_size
+
+    def one_epoch(self, on_batch: OnBatch) -> None:
+        """Learn from every image once, evaluate, and keep what came of it."""
+        epoch, steps = self.record.epochs_done, self._source.batches_per_epoch()
+        rng = generator(self._device, self.record.seed, epoch, "negatives")
+        start, processor_start, images_done = time.perf_counter(), time.process_time(), 0
+        total = torch.zeros((), device=self._device)
+        self._model.train()
+        for step, batch in enumerate(self._source.batches(epoch)):
+            loss = self._step_or_say_what_fits(batch, self._on_recipes_scale(epoch + step / steps), rng)
+            total += loss
+            if (step + 1) % _STEPS_BETWEEN_CHECKS == 0:
+                self._refuse_nan(float(total), epoch)
+            images_done += len(batch.images)
+            on_batch(len(batch.images))
+        self._refuse_nan(float(total), epoch)
+        figures: EpochFigures = {"epoch": epoch + 1, "loss": float(total) / steps}
+        figures |= self._scheduled_figures(self._on_recipes_scale(epoch + (steps - 1) / steps))
+        figures["images_per_second"] = round(images_done / (time.perf_counter() - start), 1)
+        self._refuse_nan(sum(float(tensor.float().abs().sum()) for tensor in self._kept_tensors()), epoch)
+        if self._validation_images:
+            figures |= self._learner.evaluate(*self._validation_images)
+        figures["seconds"] = round(time.perf_counter() - start, 2)
+        figures["processor_seconds"] = round(time.process_time() - processor_start, 2)
+        self.record = replace(self.record, rows=(*self.record.rows, figures))
+        checkpoints.save(self._out, self.record, self._model, self._optimizer)
+        self._publish()
+
+    def _kept_tensors(self) -> Iterator[Tensor]:
+        yield from self._model.state_dict().values()
+        for means in self._optimizer.state.values():
+            yield from means.values()
+
+    def _publish(self) -> None:
+        checkpoints.publish(self._out, self.record, self._model)
+        if self.record.rows and importlib.util.find_spec("matplotlib"):
+            plot_curve(self._out / checkpoints.CURVE_FILE, self.record)
+
+    def _on_recipes_scale(self, epoch: float) -> float:
+        """Return where an epoch of this training lies in the recipe, which may have fewer or more epochs."""
+        return epoch * self.record.recipe.epochs / self.record.epochs
+
+    def _scheduled_figures(self, epoch: float) -> EpochFigures:
+        """Return what the recipe schedules at an epoch on its scale."""
+        recipe = self.record.recipe
+        return {"learning_rate": recipe.learning_rate_at(epoch), **recipe.figures_at(epoch)}
+
+    def _step_or_say_what_fits(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:
+        try:
+            return self._step(batch, epoch, rng)
+        except torch.cuda.OutOfMemoryError:
+            pass  # what the step held is let go only outside of this block
+        self._optimizer.zero_grad(set_to_none=True)
+        size = len(batch.images)
+        fitting = largest_that_fits(
+            lambda count: torch.autograd.backward(self._learner.losses(batch.rows(slice(count)), epoch, rng).mean()),
+            size // 2,
+        )
+        advice = (
+            f"{fitting[0]} fit: set batch_size = {fitting[0]} in a recipe of your own"
+            if fitting
+            else "not even one fits"
+        )
+        raise TrainingError(
+            f"{self._device}: its memory is too small for a batch of {size} images; {advice}, end what else "
+            f"uses the GPU, or take --device cpu. {self._kept()}"
+        )
+
+    def _step(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:
+        recipe = self.record.recipe
+        _freeze(self._model.first_stage, is_frozen=recipe.is_frozen_at(epoch))
+        for group in self._optimizer.param_groups:
+            group["lr"] = recipe.learning_rate_at(epoch)
+        loss = self._learner.losses(batch, epoch, rng).mean()
+        self._optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        self._optimizer.step()
+        return loss.detach()
+
+    def _refuse_nan(self, value: float, epoch: int) -> None:
+        if not math.isfinite(value):
+            rate = self.record.recipe.learning_rate_at(self._on_recipes_scale(epoch))
+            raise TrainingError(
+                f"the loss or a weight is no longer finite in epoch {epoch + 1}: a learning rate of "
+                f"{rate:g} is too high for this recipe, or the images are damaged "
+                f"(`symsol-annot verify` tells). {self._kept()}"
+            )
+
+    def _kept(self) -> str:
+        done = self.record.epochs_done
+        return f"{self._out} keeps epoch {done}" if done else "Nothing was kept, as no epoch was finished"
+
+
+def new_record(recipe: Recipe, dataset: Dataset, options: Options, device: torch.device, name: str) -> TrainingRecord:
+    """Return the record of a training that has no epochs yet.
+
+    Raises:
+        SettingsError: epochs, a seed or a name that no checkpoint can hold.
+    """
+    epochs = recipe.epochs if options.epochs is None else options.epochs
+    if not 1 <= epochs <= MAX_EPOCHS:
+        raise SettingsError(f"epochs: expected 1 to {MAX_EPOCHS}, found {epochs}")
+    if not 0 <= options.seed <= MAX_SEED:
+        raise SettingsError(f"seed: expected 0 to {MAX_SEED}, found {options.seed}")
+    if name and not is_method_name(name):
+        raise SettingsError(f"name: expected {METHOD_NAME_RULE}, found {name!r}")
+    return TrainingRecord(
+        name=name,
+        recipe=recipe,
+        object=dataset.object,
+        image_size=dataset.image_size,
+        train_fingerprint=dataset.fingerprint,
+        epochs=epochs,
+        seed=options.seed,
+        first_stage=recipe.start,
+        rows=(),
+        software=software(device, "bfloat16 backbone" if has_bfloat16(device) else "float32"),
+    )
+
+
+def _check(recipe: Recipe, dataset: Dataset) -> None:
+    left = len(dataset) - recipe.validation_images
+    if left < 2:
+        raise SettingsError(
+            f"{dataset.folder}: its train split has {len(dataset)} images, of which the recipe takes "
+            f"{recipe.validation_images} for validation; 2 or more have to be left. --validation-images N takes fewer"
+        )
+    if dataset.is_annotated:
+        return
+    if recipe.validation_images:
+        raise NotAnnotatedError(
+            f"{dataset.folder}: the train split was rendered without symmetry sets, so its validation images cannot be "
+            "scored. `symsol-annot render --annotate all` gives every split its sets; --validation-images 0 trains "
+            "unscored"
+        )
+    if recipe.needs_rejected_candidates:
+        raise NotAnnotatedError(
+            f"{dataset.folder}: the train split was rendered without symmetry sets, and the recipe's hard_negatives "
+            "are the candidates outside of them. `symsol-annot render --annotate all` gives every split its sets; "
+            "hard_negatives = 0 needs none"
+        )
+
+
+def _is_begun(out: Path) -> bool:
+    """Tell whether a folder holds something under the name of a state: what it is, shows when it is opened."""
+    return os.path.lexists(out / checkpoints.STATE_FILE)
+
+
+def _refuse_other(out: Path, there: TrainingRecord, record: TrainingRecord) -> None:
+    differences = there.differences(record)
+    if differences:
+        raise TrainingError(
+            f"{out} holds another training; nothing was touched. It differs in:\n"
+            + bulleted(differences)
+            + "\nUse another --out folder, or delete that one."
+        )
+
+
+def _first_model(record: TrainingRecord, out: Path, options: Options) -> tuple[ReferenceModel, str]:
+    """Return a model with its first weights, and what its record says of where its first stage began."""
+    start = record.recipe.start
+    if start not in TRAINED_STARTS:
+        return checkpoints.new_model(record.recipe, None if start == RANDOM else start, record.seed), start
+    file = best_network(options.pretrained or trained_networks(out.resolve().parent, record), record, start)
+    _, network = checkpoints.read_checkpoint_file(file)  # weights and digest are of one reading
+    model = checkpoints.new_model(record.recipe, None, record.seed)
+    model.first_stage.take_hypothesis_network(network.tensors, str(file))
+    return model, f"{file.parent.name}, sha256 {network.sha256}"
+
+
+def _validation_images(dataset: Dataset) -> tuple[Tensor, Labels]:
+    return decode_images(dataset).images, dataset.labels()
+
+
+def _freeze(stage: FirstStage, *, is_frozen: bool) -> None:
+    if is_frozen == next(stage.parameters()).requires_grad:
+        (stage.freeze if is_frozen else stage.unfreeze)()

@@ -1,0 +1,65 @@
+"""The figures of validation images: all that training takes from the scorer, by the scorer's own formulas.
+
+No other module of the models imports `bench.scoring`: what a training tells by an epoch is then what `score` would say,
+and a change of the scorer shows here. FIGURES says of each metric which way is better.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench.scoring import metrics
+from symsol_annot.bench.scoring.metric import HIGHER
+from symsol_annot.bench.scoring.scorers.table import SCORINGS
+from symsol_annot.rotations.so3 import Rotations
+
+Figures = dict[str, float]
+FIGURES = {  # whether higher is better, in the scorer's order
+    metric.name: metric.better == HIGHER for scoring in SCORINGS.values() for metric in scoring.metrics if metric.better
+}
+_NEAR_DEG = 5
+
+
+def hypothesis_figures(pairs: Iterable[tuple[Rotations, Rotations]]) -> Figures:
+    """Return recall and precision (section 5.2), pooled over members and over images as `score` does.
+
+    Args:
+        pairs: per image the members (k, 3, 3) of its symmetry set and its hypotheses (M, 3, 3), R_m2c.
+
+    Returns:
+        Mean errors in rad, and shares within 5 degrees.
+    """
+    both = [metrics.recall_and_precision_errors(members, hypotheses) for members, hypotheses in pairs]
+    recall_errors, precision_errors = (np.concatenate(errors) for errors in zip(*both, strict=True))
+    near = np.radians([_NEAR_DEG])
+    return {
+        "recall_mean_error_rad": metrics.mean_error(recall_errors),
+        "precision_mean_error_rad": metrics.mean_error(precision_errors),
+        f"coverage_at_{_NEAR_DEG}_deg": float(metrics.share_within(recall_errors, near)[0]),
+        f"accuracy_at_{_NEAR_DEG}_deg": float(metrics.share_within(precision_errors, near)[0]),
+    }
+
+
+def classifier_figures(counts: Iterable[tuple[int, int, int]]) -> Figures:
+    """Return the means over images of recall, precision and F-measure (section 7.2).
+
+    Args:
+        counts: per image its true positives, its false positives, and how many members its symmetry set has.
+    """
+    rows = []
+    for true, false, set_size in counts:
+        true_positives, false_positives = _one(true), _one(false)
+        rows.append(
+            (
+                metrics.recall(true_positives, set_size),
+                metrics.precision(true_positives, false_positives),
+                metrics.f_measure(true_positives, false_positives, set_size),
+            )
+        )
+    means = np.mean(rows, axis=0).ravel().tolist()
+    return dict(zip(("recall", "precision", "f_measure"), means, strict=True))
+
+
+def _one(count: int) -> npt.NDArray[np.int64]:
+    return np.array([count], dtype=np.int64)

@@ -1,0 +1,163 @@
+"""A predictions file that is read: opened, checked against the truth that it is about, and its tracks."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from symsol_annot.bench.predictions.advice.mends import mend_of_file
+from symsol_annot.bench.predictions.faults import FaultLog
+from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES, PREDICTIONS_FORMAT, THE_FILE
+from symsol_annot.bench.predictions.proposals import Predicted
+from symsol_annot.bench.predictions.structure import Structure, shown
+from symsol_annot.bench.predictions.tracks.table import TRACK_OF_DATASET, TRACKS
+from symsol_annot.bench.predictions.tracks.track import TrackReader
+from symsol_annot.bench.predictions.truth import Truth, read_truth
+from symsol_annot.errors import DataError, PredictionsError
+from symsol_annot.sets.folders import set_folders
+from symsol_annot.system.reading import file_sha256
+from symsol_annot.system.sandbox.hdf5_process import SandboxedFile
+from symsol_annot.system.text.names import (
+    METHOD_NAME_RULE,
+    OBJECT_NAME_RULE,
+    SPLITS,
+    is_method_name,
+    is_object_name,
+    is_split,
+)
+
+
+class Predictions:
+    """A predictions file whose structure was checked; its contents are checked as its tracks are read.
+
+    Attributes:
+        path: of the file.
+        sha256: of the file, as hexadecimal; empty where `open_predictions` did not open it.
+        method: what the method calls itself.
+        truth: of the object and split that it is about.
+        faults: found so far; complete once all tracks were gone through.
+        readers: of those tracks that are there and can be read.
+    """
+
+    def __init__(self, file: SandboxedFile, truth: Truth, sha256: str = "") -> None:
+        self.path, self.truth, self.sha256, self.faults = file.path, truth, sha256, FaultLog()
+        structure = Structure(file, truth, self.faults, TRACK_OF_DATASET)
+        structure.has_attributes(FILE_ATTRIBUTES, THE_FILE)
+        self.method = str(file.attributes.get("method", ""))
+        if "method" in file.attributes and not is_method_name(self.method):
+            self.faults.add(THE_FILE, f"attribute 'method': expected {METHOD_NAME_RULE}, found {shown(self.method)}")
+        self._image_index = structure.image_index
+        there = [track for track in TRACKS.values() if any(structure.has(dataset) for dataset in track.datasets)]
+        if not there:
+            first = ", ".join(track.datasets[0] for track in TRACKS.values())
+            self.faults.add(THE_FILE, f"has no track: none of the data sets {first}")
+        found = [track.reader(structure) for track in there]
+        self.readers: tuple[TrackReader, ...] = tuple(reader for reader in found if reader.is_sound())
+
+    def check(self) -> None:
+        """Go through every track.
+
+        Raises:
+            PredictionsError: with all faults of the file.
+        """
+        for reader in self.readers:
+            for _ in self.blocks(reader):
+                pass
+        self.raise_faults()
+
+    def blocks(self, reader: TrackReader) -> Iterator[Any]:
+        """Yield a track's images in blocks of bounded size, without those that have a fault."""
+        if self._image_index is None:
+            return
+        try:
+            yield from reader.blocks(self._image_index)
+        except PredictionsError as error:  # reading failed: what was found before, and in other tracks, counts too
+            for fault in error.faults:
+                self.faults.add(THE_FILE, fault)
+
+    def proposals(self, reader: TrackReader) -> list[Predicted]:
+        """Return what a track says of each image of its split, as pictures show it.
+
+        Raises:
+            PredictionsError: the contents have faults, all of which it lists.
+        """
+        read = reader.proposals(self.truth)
+        found: dict[int, Predicted] = {}
+        for block in self.blocks(reader):
+            for row, image in enumerate(block.image_index):
+                found[int(image)] = read(block, row)
+        self.raise_faults()
+        return [found[image] for image in sorted(found)]
+
+    def raise_faults(self) -> None:
+        """Raise the faults that were found so far, if there are any.
+
+        Raises:
+            PredictionsError: with those faults.
+        """
+        if self.faults:
+            raise PredictionsError(str(self.path), self.faults.lines())
+
+
+@contextmanager
+def open_predictions(path: str | os.PathLike[str], data: str | os.PathLike[str]) -> Iterator[Predictions]:
+    """Open a predictions file and the truth that it says it is about.
+
+    The file's digest is taken once, here. A file that is changed or replaced before the `with` block ends is refused
+    at its end, since the digest and what was read of it may then be of different contents.
+
+    Args:
+        path: of the predictions.
+        data: a set's folder, or the folder of sets.
+
+    Raises:
+        PredictionsError: it is no predictions file, or was changed meanwhile.
+        DataError: the set that it is about is not there or damaged.
+    """
+    if found := mend_of_file(Path(path), _some_set(Path(data))):
+        raise PredictionsError(str(path), [found])
+    before = _identity(Path(path))
+    with SandboxedFile(Path(path)) as file:
+        truth = read_truth(data, *_subject(file))
+        try:
+            sha256 = file_sha256(Path(path))
+        except OSError as error:
+            raise PredictionsError(str(path), [f"{THE_FILE}: cannot be read: {error.strerror or error}"]) from None
+        yield Predictions(file, truth, sha256)
+    if _identity(Path(path)) != before:
+        fault = f"{THE_FILE}: was changed while it was read; try again once its writer is done"
+        raise PredictionsError(str(path), [fault])
+
+
+def _identity(path: Path) -> tuple[int, ...]:
+    """Return what changes where a file is written or replaced; nothing where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def _some_set(data: Path) -> str:
+    """Return the folder of a set under `data`, for code to copy: the only one, or one to be filled in."""
+    try:
+        (only,) = set_folders(data)
+    except (DataError, ValueError):
+        return (data / "OBJECT").as_posix()
+    return only.as_posix()
+
+
+def _subject(file: SandboxedFile) -> tuple[str, str, str]:
+    """Return the object, the split and the fingerprint that a file says it is about."""
+    found = file.attributes
+    name, split, fingerprint = found.get("object"), found.get("split"), found.get("fingerprint")
+    if found.get("format") != PREDICTIONS_FORMAT:
+        fault = f"attribute 'format': expected {PREDICTIONS_FORMAT!r}, found {shown(found.get('format'))}"
+    elif not is_object_name(name):
+        fault = f"attribute 'object': expected the name of an object, found {shown(name)}: {OBJECT_NAME_RULE}"
+    elif not is_split(split):
+        fault = f"attribute 'split': expected one of {', '.join(SPLITS)}, found {shown(split)}"
+    else:
+        return str(name), str(split), fingerprint if isinstance(fingerprint, str) else ""
+    raise PredictionsError(str(file.path), [f"{THE_FILE}: {fault}"])

@@ -1,0 +1,127 @@
+"""How a density on the grid is scored: log-likelihood and spread, each beside that of the best density there."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.bench.predictions.tracks.density import DENSITY, DENSITY_FLOOR, DensityBlock, DensityReader
+from symsol_annot.bench.predictions.truth import Truth
+from symsol_annot.bench.scoring import metrics
+from symsol_annot.bench.scoring.metric import HIGHER, LOWER, NEITHER, Metric, Place, Values
+from symsol_annot.bench.scoring.scorers.scorer import ASKED_OTHERWISE, GridScorer, TrackScoring
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredDensity:
+    """What is measured of the densities of b images; "ceiling" is the best density that the grid allows.
+
+    Attributes:
+        at_members: (b,) the log-likelihood at the members.
+        ceiling_at_members: (b,) the ceiling's.
+        at_gt: (b,) the log-likelihood at R_gt.
+        ceiling_at_gt: (b,) the ceiling's.
+        spread_rad: (b,) the expected angle to the nearest member.
+        spread_at_ceiling_rad: (b,) the ceiling's.
+    """
+
+    at_members: Values
+    ceiling_at_members: Values
+    at_gt: Values
+    ceiling_at_gt: Values
+    spread_rad: Values
+    spread_at_ceiling_rad: Values
+
+
+METRICS: tuple[Metric[MeasuredDensity], ...] = (
+    Metric("log_likelihood", HIGHER, Place.SUMMARY, lambda of: of.at_members, "log-likelihood", row=1),
+    Metric(
+        "log_likelihood_ceiling",
+        NEITHER,
+        Place.SUMMARY,
+        lambda of: of.ceiling_at_members,
+        "ceiling",
+        row=2,
+        is_detail=True,
+    ),
+    Metric("log_likelihood_at_gt", HIGHER, Place.TABLES, lambda of: of.at_gt, "log-likelihood at R_gt", row=3),
+    Metric(
+        "log_likelihood_at_gt_ceiling",
+        NEITHER,
+        Place.TABLES,
+        lambda of: of.ceiling_at_gt,
+        "ceiling",
+        row=4,
+        is_detail=True,
+    ),
+    Metric("spread_rad", LOWER, Place.SUMMARY, lambda of: of.spread_rad, "spread, rad", row=5),
+    Metric(
+        "spread_at_ceiling_rad",
+        NEITHER,
+        Place.TABLES,
+        lambda of: of.spread_at_ceiling_rad,
+        "at the ceiling, rad",
+        row=6,
+        is_detail=True,
+    ),
+)
+
+
+class DensityScorer(GridScorer):
+    """Scores the log-probabilities of cells."""
+
+    metrics = METRICS
+
+    def __init__(self, reader: DensityReader, truth: Truth) -> None:
+        super().__init__(truth, reader.grid_level)
+        floor = reader.density_floor
+        self.facts = {"grid_level": self._level, **({} if floor is None else {DENSITY_FLOOR: floor})}
+
+    def _measure(self, block: DensityBlock) -> MeasuredDensity:
+        self._try_conventions(block)
+        columns = np.zeros((6, len(block.image_index)))
+        for row, i in enumerate(block.image_index.tolist()):  # the angles of one image alone take 2 MiB
+            columns[:, row] = self._measure_image(i, *block.on_grid.row(row))
+        return MeasuredDensity(*columns)
+
+    def _measure_image(self, i: int, indices: npt.NDArray[np.int64], stored: npt.NDArray[Any]) -> tuple[float, ...]:
+        """Return what is measured of one image, in the order of `MeasuredDensity`."""
+        size, symmetry_set = len(self._grid), self._truth.labels.symmetry_set(i)
+        members = symmetry_set.members
+        log_probability = stored.astype(np.float64)
+        listed = np.exp(log_probability)
+        rest = (1.0 - listed.sum()) / (size - len(listed)) if len(listed) < size else 1.0
+        angles_rad = symmetry_set.distance(self._grid.rotations)
+        cells, cell_of_gt = self._grid.nearest(members), self._grid.nearest(self._truth.labels.rotation[i][None])
+        best_cells, shares = np.unique(cells, return_counts=True)
+        best = shares / len(members)
+        at_members, at_gt = (_looked_up(indices, log_probability, at, np.log(rest)) for at in (cells, cell_of_gt))
+        best_at_members, best_at_gt = (_looked_up(best_cells, np.log(best), at, 0.0) for at in (cells, cell_of_gt))
+        return (
+            *(metrics.log_likelihood(p, size) for p in (at_members, best_at_members, at_gt, best_at_gt)),
+            metrics.spread(listed, angles_rad[indices], angles_rad),
+            float(best @ angles_rad[best_cells]),
+        )
+
+    def notes(self) -> tuple[str, ...]:
+        """Return what its author should know: that another convention fits far better."""
+        return self._conventions.notes(ASKED_OTHERWISE)
+
+
+def _looked_up(
+    indices: npt.NDArray[np.int64], values: npt.NDArray[np.float64], wanted: npt.NDArray[np.int64], otherwise: float
+) -> npt.NDArray[np.float64]:
+    """Return the values at wanted indices, and `otherwise` where one is not among the ascending `indices`."""
+    place = np.searchsorted(indices, wanted)
+    padded_indices, padded_values = np.append(indices, -1), np.append(values, otherwise)
+    return np.where(padded_indices[place] == wanted, padded_values[place], otherwise)
+
+
+def _caption(entry: Mapping[str, Any]) -> Iterator[str]:
+    if DENSITY_FLOOR in entry:
+        yield f"  probabilities of cells under {entry[DENSITY_FLOOR]:g} were not told apart by its writer"
+
+
+DENSITY_SCORING = TrackScoring(track=DENSITY, open=DensityScorer, metrics=METRICS, caption=_caption)

@@ -1,0 +1,115 @@
+"""The engines that draw: all that is known of each, in one table.
+
+An engine gets a mesh whose corners carry their colours in the camera's light, and draws one colour for each point of
+the camera's lattice, unmixed. What was hit is told by the colour (`shading.ColourIds`), whatever the engine.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from symsol_annot.errors import SettingsError
+
+
+class Drawing(Enum):
+    """How the colours at the mesh's corners become a frame; `blender.py` sets Blender up for each."""
+
+    VERTEX_COLOURS = "the engine shows vertex colours as they are"
+    EMISSION = "a material of shader nodes emits them"
+
+
+@dataclass(frozen=True)
+class Engine:
+    """One engine.
+
+    Attributes:
+        name: in commands, manifests and shards.
+        blender_name: what Blender calls it.
+        drawing: how it comes by the colours.
+        vertex_shift: by how many lattice spacings at most, along u or v, it moves a projected vertex, or casts a ray
+            beside the point: its rounding, without that of float32.
+        needs_opengl: whether it draws with OpenGL, which then decides pixels too.
+        needs_gpu: whether it is of use only with a GPU; `doctor` does not try it.
+        scene_settings: what is set on Blender's scene: the dotted path of each attribute, to its value.
+    """
+
+    name: str
+    blender_name: str
+    drawing: Drawing
+    vertex_shift: float
+    needs_opengl: bool
+    needs_gpu: bool = False
+    scene_settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+_OPENGL_SHIFT = 1.0 / 512.0  # rounding to a sub-pixel grid of 1/256
+
+_ALL = (
+    Engine(
+        name="workbench",
+        blender_name="BLENDER_WORKBENCH",
+        drawing=Drawing.VERTEX_COLOURS,
+        vertex_shift=_OPENGL_SHIFT,
+        needs_opengl=True,
+        scene_settings={
+            "display.render_aa": "OFF",
+            "display.shading.color_type": "VERTEX",
+            "display.shading.light": "FLAT",
+            "display.shading.show_backface_culling": True,
+            "display.shading.show_xray": False,
+            "display.shading.show_shadows": False,
+            "display.shading.show_object_outline": False,
+            "display.shading.show_cavity": False,
+        },
+    ),
+    Engine(
+        name="cycles",
+        blender_name="CYCLES",
+        drawing=Drawing.EMISSION,
+        vertex_shift=1.0 / 64.0,  # its rays pass up to 0.005 beside the point; the rest is set aside
+        needs_opengl=False,
+        scene_settings={
+            "render.filter_size": 0.0,
+            "cycles.device": "CPU",
+            "cycles.samples": 1,
+            "cycles.use_adaptive_sampling": False,
+            "cycles.use_denoising": False,
+            "cycles.transparent_max_bounces": 8,
+            "cycles.max_bounces": 8,
+            "cycles.pixel_filter_type": "BOX",
+            "cycles.filter_width": 0.01,
+            "cycles.seed": 0,
+            "render.threads_mode": "FIXED",
+            "render.threads": 1,
+        },
+    ),
+    Engine(
+        name="eevee",
+        blender_name="BLENDER_EEVEE_NEXT",
+        drawing=Drawing.EMISSION,
+        vertex_shift=_OPENGL_SHIFT,
+        needs_opengl=True,
+        needs_gpu=True,
+        scene_settings={"render.filter_size": 0.0, "eevee.taa_render_samples": 1},
+    ),
+)
+
+ENGINES = {engine.name: engine for engine in _ALL}
+DEFAULT_ENGINE = "workbench"
+
+
+def engine_named(name: Any) -> Engine:
+    """Return the engine of a name.
+
+    Raises:
+        SettingsError: there is none.
+    """
+    if type(name) is not str or name not in ENGINES:
+        raise SettingsError(f"engine: expected one of {', '.join(ENGINES)}, found {name!r}")
+    return ENGINES[name]
+
+
+def engines_without_opengl() -> list[str]:
+    """Return the names of the engines that draw where there is no OpenGL."""
+    return [engine.name for engine in ENGINES.values() if not engine.needs_opengl]

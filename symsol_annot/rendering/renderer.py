@@ -1,0 +1,80 @@
+"""What a renderer draws, what it does, and the view that it gives."""
+
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from symsol_annot.objects.mesh import Mesh
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.rotations.so3 import Rotations
+
+BACKGROUND, BODY, MARKING = 0, 1, 2  # segmentation ids
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """All that decides a view, but for the object's rotation and the software; plain data, for a process to draw.
+
+    Attributes:
+        mesh: the object's, in model coordinates.
+        camera: what it is seen through.
+        settings: engine, supersampling, colours and light.
+    """
+
+    mesh: Mesh
+    camera: Camera
+    settings: RenderSettings
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One view of an object.
+
+    Attributes:
+        rgb: (H, W, 3) u8 in sRGB, anti-aliased.
+        segmentation: (H, W) u8, the id (0 background, 1 body, 2 marking) at each pixel's centre.
+        marking_pixels: the marking's visible area in pixels: the lattice points that show it, over those per pixel.
+    """
+
+    rgb: npt.NDArray[np.uint8]
+    segmentation: npt.NDArray[np.uint8]
+    marking_pixels: float
+
+
+class Renderer(AbstractContextManager["Renderer"], Protocol):
+    """Draws one object through one camera, in one way; a context manager, since it may hold a process.
+
+    The same rotation gives the same view every time, whatever was drawn before. Rotations take model coordinates to
+    camera coordinates. An implementation raises `RenderError` where it cannot draw.
+    """
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """The software that decides the pixels: name to version."""
+
+    def render(self, R_m2c: Rotations) -> View:
+        """Draw the object under one rotation.
+
+        Args:
+            R_m2c: (3, 3).
+
+        Returns:
+            The view, (H, W) as the camera's height and width.
+        """
+
+    def marking_pixels(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
+        """Return the marking's visible area under each rotation, without drawing pictures.
+
+        Args:
+            R_m2c: (n, 3, 3); n may be 0.
+
+        Returns:
+            (n,) f8 in pixels: the `marking_pixels` of each rotation's view, bit for bit; 0 without a marking.
+        """
+
+    def close(self) -> None:
+        """Let go of what the renderer holds."""

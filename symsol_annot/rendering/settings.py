@@ -1,0 +1,79 @@
+"""How views are drawn: engine, supersampling, colours and light."""
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from symsol_annot.errors import SettingsError
+from symsol_annot.rendering.engines import DEFAULT_ENGINE, engine_named
+
+SAMPLES_PER_AXIS = (2, 4, 6, 8)  # even, and sums of their squares fit 16 bits
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """How views are drawn.
+
+    The light is a headlight: a surface with normal n shows colour x (ambient + diffuse x max(0, -n_z)), linear, then
+    sRGB. A pixel's RGB is the average over its square by the trapezoidal rule in display values, and its segmentation
+    what lies at its centre; a marking's area is counted on the same points.
+
+    Attributes:
+        engine: the name of one in `engines.ENGINES`.
+        samples_per_axis: the supersampling: the lattice's points lie 1 / `samples_per_axis` pixel apart, as
+            `Camera.lattice` has them.
+        body_colour: linear RGB, from 0 to 1.
+        marking_colour: linear RGB.
+        background_colour: linear RGB.
+        ambient: light on every surface, from 0 to 1.
+        diffuse: light on a surface that faces the camera, from 0 to 1.
+
+    Raises:
+        SettingsError: an engine that does not exist, a lattice without a point at a pixel's centre, or a colour or a
+            light that is none.
+    """
+
+    engine: str = DEFAULT_ENGINE
+    samples_per_axis: int = 2
+    body_colour: tuple[float, float, float] = (0.72, 0.80, 0.94)
+    marking_colour: tuple[float, float, float] = (0.95, 0.16, 0.04)
+    background_colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    ambient: float = 0.04
+    diffuse: float = 0.96
+
+    def __post_init__(self) -> None:
+        engine_named(self.engine)
+        if type(self.samples_per_axis) is not int or self.samples_per_axis not in SAMPLES_PER_AXIS:
+            raise SettingsError(f"samples_per_axis: expected 2, 4, 6 or 8, found {self.samples_per_axis!r}")
+        for name in ("body_colour", "marking_colour", "background_colour"):
+            colour = getattr(self, name)
+            if not isinstance(colour, tuple) or len(colour) != 3 or not all(_is_light(part) for part in colour):
+                raise SettingsError(f"{name}: expected three numbers from 0 to 1, found {colour!r}")
+        for name in ("ambient", "diffuse"):
+            if not _is_light(getattr(self, name)):
+                raise SettingsError(f"{name}: expected a number from 0 to 1, found {getattr(self, name)!r}")
+
+    @property
+    def points_per_pixel(self) -> int:
+        """How many points of the lattice stand for one pixel's area."""
+        return self.samples_per_axis**2
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> "RenderSettings":
+        """Return the settings that `to_dict` gave.
+
+        Raises:
+            SettingsError: a setting has a value that makes no sense.
+            TypeError: they are no table of all the settings.
+        """
+        if type(data) is not dict or set(data) != {field.name for field in fields(cls)}:
+            raise TypeError(f"expected a table of the render settings, found {type(data).__name__}")
+        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as JSON data."""
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+def _is_light(value: Any) -> bool:
+    return type(value) in (float, int) and 0 <= value <= 1

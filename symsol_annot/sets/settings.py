@@ -1,0 +1,239 @@
+"""The settings of a set: all that decides its contents, or, of an imported set, what is known of them.
+
+They are stated once, here. The manifest, the attributes of a shard and the plan are derived from them.
+"""
+
+import math
+import re
+from abc import ABC, abstractmethod
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from symsol_annot.rendering.camera import SIZE_RANGE, Camera
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.system.text.names import is_object_name
+
+ANNOTATE_CHOICES = ("all", "test", "none")
+MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
+_MAX_LISTED = 2**31
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_SOURCE_NAME_CHARACTERS = 200
+_UNKNOWN_WHERE_IMPORTED = ("object_sha256", "seed", "render", "tolerance_px")
+_RENDERED_KEYS = {"object", "object_sha256", "seed", "camera", "render", "tolerance_px", "annotate"}
+_IMPORTED_KEYS = {*_RENDERED_KEYS, "source"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetSettings(ABC):
+    """What is known of every set, rendered or imported.
+
+    Attributes:
+        object: the object's name.
+        annotate: which splits have symmetry sets: "all", "test" or "none".
+    """
+
+    object: str
+    annotate: str
+
+    @property
+    @abstractmethod
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of every image, in pixels."""
+
+    @property
+    @abstractmethod
+    def has_marking(self) -> bool:
+        """Whether the object has a marking by which the images are divided; False for an imported set."""
+
+    @abstractmethod
+    def to_json(self) -> dict[str, Any]:
+        """Return the settings as they stand in manifest.json, in the order of its keys; None for what is not known."""
+
+    def is_annotated(self, split: str) -> bool:
+        """Tell whether a split has symmetry sets."""
+        return self.annotate in ("all", split)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderedSettings(SetSettings):
+    """What decides the contents of a rendered set.
+
+    Attributes:
+        object_sha256: the digest of the object's files, as `ObjectSpec.digest`.
+        seed: of the random rotations.
+        camera: what the object is seen through.
+        render: how it is drawn.
+        tolerance_px: the object's T in pixels; None without a marking.
+    """
+
+    object_sha256: str
+    seed: int
+    camera: Camera
+    render: RenderSettings
+    tolerance_px: float | None
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of every image, in pixels."""
+        return self.camera.width, self.camera.height
+
+    @property
+    def has_marking(self) -> bool:
+        """Whether the object has a marking by which the images are divided."""
+        return self.tolerance_px is not None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the settings as they stand in manifest.json, in the order of its keys."""
+        return {
+            "object": self.object,
+            "object_sha256": self.object_sha256,
+            "seed": self.seed,
+            "camera": self.camera.to_dict(),
+            "render": self.render.to_dict(),
+            "tolerance_px": self.tolerance_px,
+            "annotate": self.annotate,
+        }
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the images of an imported set are from.
+
+    Attributes:
+        name: of the source, like "SYMSOL".
+        sha256: of its file.
+        convention: of its rotations, in words; "unknown" where the source does not say.
+        transposed: whether its matrices were transposed, so that symmetries act on the right.
+        rotations_listed: how many rotations it lists per annotated image.
+        duplicates_removed: how many of them repeat another one of the same list.
+    """
+
+    name: str
+    sha256: str
+    convention: str
+    transposed: bool
+    rotations_listed: int
+    duplicates_removed: int
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the source as it stands in manifest.json and in the attributes of a shard."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportedSettings(SetSettings):
+    """What is known of an imported set; how its images were drawn is not.
+
+    Attributes:
+        width: of every image, in pixels.
+        height: of every image, in pixels.
+        source: where they are from.
+    """
+
+    width: int
+    height: int
+    source: Source
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of every image, in pixels."""
+        return self.width, self.height
+
+    @property
+    def has_marking(self) -> bool:
+        """False: an imported set is not divided by a marking."""
+        return False
+
+    def camera_to_json(self) -> dict[str, Any]:
+        """Return the camera as far as it is known: its size in pixels."""
+        return {"distance": None, "focal_px": None, "width": self.width, "height": self.height}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the settings as they stand in manifest.json, in the order of its keys; None for what is not known."""
+        return {
+            "object": self.object,
+            "object_sha256": None,
+            "seed": None,
+            "camera": self.camera_to_json(),
+            "render": None,
+            "tolerance_px": None,
+            "annotate": self.annotate,
+            "source": self.source.to_json(),
+        }
+
+
+def settings_from_json(stated: dict[str, Any]) -> SetSettings:
+    """Return the settings that `to_json` gave.
+
+    Raises:
+        ValueError: a key is missing or unknown, or a value is none that a set can have.
+        TypeError: the render settings are no table of all of them.
+        SettingsError: a render setting makes no sense.
+    """
+    is_imported = "source" in stated
+    _require(set(stated) == (_IMPORTED_KEYS if is_imported else _RENDERED_KEYS), "unknown fields")
+    _require(is_object_name(stated["object"]), "object")
+    _require(type(stated["annotate"]) is str and stated["annotate"] in ANNOTATE_CHOICES, "annotate")
+    camera = stated["camera"]
+    _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
+    _require(all(is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
+    return _imported(stated) if is_imported else _rendered(stated)
+
+
+def is_whole(value: Any, least: int, most: int) -> bool:
+    """Tell whether a value is an integer within bounds, which True and 1.0 are not."""
+    return type(value) is int and least <= value <= most
+
+
+def is_sha256(value: Any) -> bool:
+    """Tell whether a value is a SHA-256 as lower-case hexadecimal."""
+    return isinstance(value, str) and _SHA256.fullmatch(value) is not None
+
+
+def _rendered(stated: dict[str, Any]) -> RenderedSettings:
+    camera, tolerance_px = stated["camera"], stated["tolerance_px"]
+    _require(_is_real(camera["distance"]) and camera["distance"] > 1, "camera: its distance")
+    _require(_is_real(camera["focal_px"]) and camera["focal_px"] > 0, "camera: its focal length")
+    _require(is_sha256(stated["object_sha256"]), "object_sha256")
+    _require(is_whole(stated["seed"], 0, MAX_SEED), "seed")
+    _require(tolerance_px is None or (_is_real(tolerance_px) and tolerance_px > 0), "tolerance_px")
+    return RenderedSettings(
+        object=stated["object"],
+        object_sha256=stated["object_sha256"],
+        seed=stated["seed"],
+        camera=Camera(**camera),
+        render=RenderSettings.from_dict(stated["render"]),
+        tolerance_px=tolerance_px,
+        annotate=stated["annotate"],
+    )
+
+
+def _imported(stated: dict[str, Any]) -> ImportedSettings:
+    camera, source = stated["camera"], stated["source"]
+    _require(all(stated[name] is None for name in _UNKNOWN_WHERE_IMPORTED), "what an import cannot know")
+    _require(camera["distance"] is None and camera["focal_px"] is None, "camera")
+    _require(type(source) is dict and set(source) == {field.name for field in fields(Source)}, "source")
+    _require(all(_is_short_text(source[name]) for name in ("name", "convention")), "source")
+    counts = ("rotations_listed", "duplicates_removed")
+    _require(all(is_whole(source[name], 0, _MAX_LISTED) for name in counts), "source")
+    _require(is_sha256(source["sha256"]) and type(source["transposed"]) is bool, "source")
+    return ImportedSettings(
+        object=stated["object"],
+        width=camera["width"],
+        height=camera["height"],
+        annotate=stated["annotate"],
+        source=Source(**source),
+    )
+
+
+def _require(is_right: bool, what: str) -> None:  # noqa: FBT001
+    if not is_right:
+        raise ValueError(what)
+
+
+def _is_real(value: Any) -> bool:
+    return type(value) is float and math.isfinite(value)
+
+
+def _is_short_text(value: Any) -> bool:
+    return isinstance(value, str) and value.isprintable() and len(value) <= _SOURCE_NAME_CHARACTERS
