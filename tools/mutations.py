@@ -4,7 +4,7 @@ python tools/mutations.py [--room rotations] [--count 60] [--seconds 1800] [--se
 
 A mutation swaps one operator, comparison or constant of a module, in a copy of the packages. The tests of the module's
 room run on the copy until one fails. A survivor is a change that all of them pass: it names a law without a test, or a
-change that changes nothing. Mutations are drawn at random from all there are; exits 1 if one survives.
+change that changes nothing. Mutations are drawn at random from all; exits 1 if one survives or none was tried.
 """
 
 import argparse
@@ -90,7 +90,7 @@ def main():
     if arguments.json:
         rows = [{**asdict(mutation), "noticed": is_noticed} for mutation, is_noticed in found]
         arguments.json.write_text(json.dumps({"seed": arguments.seed, "mutations": rows}, indent=1) + "\n")
-    sys.exit(1 if survivors else 0)
+    sys.exit(1 if survivors or not found else 0)
 
 
 def drawn(rooms, count, seed):

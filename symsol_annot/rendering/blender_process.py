@@ -57,7 +57,7 @@ class BlenderProcess:
     def __init__(self, module: str, task: Any, silence_s: float = SILENCE_S) -> None:
         check_blender_installed()
         self._task, self._silence_s = task, silence_s
-        self._greeting: Any = None  # until it has started
+        self._first_answer: Any = None  # until it has started
         with temporary_errors():
             self._scratch = Scratch()  # Blender's, which removes it once it has started
             try:
@@ -94,7 +94,7 @@ class BlenderProcess:
         """The process's number."""
         return self._process.pid
 
-    def greeting(self) -> Any:
+    def first_answer(self) -> Any:
         """Hand over the task, at first use, so that it starts while others do; return what it said when it had."""
         with self._talking:
             return self._start()
@@ -121,9 +121,9 @@ class BlenderProcess:
                 self._log.close()
 
     def _start(self) -> Any:
-        if self._greeting is None:
-            self._greeting = self._exchange(self._task)
-        return self._greeting
+        if self._first_answer is None:
+            self._first_answer = self._exchange(self._task)
+        return self._first_answer
 
     def _exchange(self, request: Any) -> Any:
         try:
@@ -148,7 +148,7 @@ class BlenderProcess:
         self._process.wait()
         return RendererHungError(
             f"Blender's process {self.pid} gave no sign of life for {self._silence_s:g} s, and was ended. "
-            f"Its last words:\n{_quoted(self._last_words())}\n"
+            f"Its last output:\n{_quoted(self._last_output())}\n"
             "Finished shards are kept: the same command goes on from there, with a longer --time-limit if need be."
         )
 
@@ -159,7 +159,7 @@ class BlenderProcess:
         how = f"was ended by signal {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         if code == -signal.SIGKILL:
             how += " (as the system does when memory runs out: fewer --workers need less)"
-        lines = self._last_words()
+        lines = self._last_output()
         if any(word in line for line in lines for word in _NO_OPENGL):
             return RendererMissingError(
                 "this engine draws with OpenGL through EGL, and Blender found none:\n"
@@ -167,9 +167,9 @@ class BlenderProcess:
             )
         if code == END_ITSELF:
             return RendererCrashedError(f"Blender's process {self.pid} ended itself: {lines[-1]}")
-        return RendererCrashedError(f"Blender's process {self.pid} {how}. Its last words:\n{_quoted(lines)}")
+        return RendererCrashedError(f"Blender's process {self.pid} {how}. Its last output:\n{_quoted(lines)}")
 
-    def _last_words(self) -> list[str]:
+    def _last_output(self) -> list[str]:
         self._log.seek(0)
         lines = self._log.read().decode(errors="replace").splitlines()
         return [line for line, _ in groupby(lines) if line.strip() and not line.startswith(_FRAME_CHATTER)]
@@ -218,14 +218,14 @@ def serve(start: Callable[[Any], tuple[Answer, Any]]) -> None:
     """Be the other end: start on the parent's task, then answer its requests until it goes.
 
     Args:
-        start: from the task to what answers requests, and the greeting.
+        start: from the task to what answers requests, and the first answer.
     """
     connection, lifeline = Connection(int(sys.argv[1])), int(sys.argv[2])
     _die_with_parent(lifeline)
     try:
-        answer, greeting = start(connection.recv())
+        answer, first_answer = start(connection.recv())
         remove_marked(Path(os.environ["TMPDIR"]))  # nothing is left, even if both are killed
-        connection.send(greeting)
+        connection.send(first_answer)
         while True:
             request = connection.recv()
             forget_chatter()

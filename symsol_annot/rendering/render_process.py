@@ -33,7 +33,7 @@ class RenderProcess(Closing):
     @property
     def versions(self) -> dict[str, str]:
         """The software that decides the pixels: name to version."""
-        return dict(self._process.greeting())
+        return dict(self._process.first_answer())
 
     @property
     def pid(self) -> int:

@@ -69,11 +69,6 @@ def test_help_ends_with_examples_that_the_command_line_accepts(command, mug):
         parse(app, words)
 
 
-def test_an_example_with_a_misspelt_option_would_be_noticed():
-    with pytest.raises(click.NoSuchOption):
-        parse(app, ["info", "data/cylO", "--splitt", "test"])
-
-
 def test_no_help_loads_an_extra():
     script = f"""
 import sys

@@ -65,7 +65,7 @@ def test_a_set_that_lacks_a_member_is_found(tetX_set):
     assert any("rejected, but draws the same marking" in fault for fault in faults)
 
 
-def test_a_set_with_a_stranger_is_found(tetX_set):
+def test_a_set_with_a_foreign_rotation_is_found(tetX_set):
     def take_all(mask):
         mask[:] = True
 

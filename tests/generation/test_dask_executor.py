@@ -252,7 +252,7 @@ def then_closes(what):
 
 
 TWO_GIB = struct.pack("<Q", 2**31)
-STRANGERS = {
+IMPOSTORS = {
     "silent": lambda connection: None,
     "ssh": lambda connection: connection.sendall(b"SSH-2.0-OpenSSH_9.2p1\r\n"),
     "zeros": lambda connection: connection.sendall(b"\0" * 64),
@@ -285,18 +285,18 @@ def test_nobody_at_the_address_is_an_error_that_says_so():
     assert_refused(f"tcp://127.0.0.1:{port}", r"nobody answers there \(Connection refused\)\. Start a scheduler")
 
 
-@pytest.mark.parametrize("stranger", STRANGERS)
-def test_whatever_else_is_at_the_address_is_refused_in_bounded_time_without_a_traceback(stranger, monkeypatch, caplog):
+@pytest.mark.parametrize("impostor", IMPOSTORS)
+def test_whatever_else_is_at_the_address_is_refused_in_bounded_time_without_a_traceback(impostor, monkeypatch, caplog):
     monkeypatch.setattr("symsol_annot.generation.dask.checks.CONNECT_SECONDS", 3.0)
-    with listening(STRANGERS[stranger]) as address:
+    with listening(IMPOSTORS[impostor]) as address:
         assert_refused(address, "something that is no Dask scheduler answers there. Give the address")
     assert not caplog.records
 
 
-@pytest.mark.parametrize("stranger", ENDLESS)
-def test_endless_bytes_are_refused_at_once_and_take_no_memory(stranger):
+@pytest.mark.parametrize("impostor", ENDLESS)
+def test_endless_bytes_are_refused_at_once_and_take_no_memory(impostor):
     before_kib, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
-    with listening(ENDLESS[stranger]) as address:
+    with listening(ENDLESS[impostor]) as address:
         assert_refused(address, "something that is no Dask scheduler answers there. Give the address")
     assert time.monotonic() - start < 5
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kib < 2**16

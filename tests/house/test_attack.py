@@ -1,4 +1,4 @@
-"""What a stranger's files do: a small seed of `make attack`, and that its judge sees what it is there to see."""
+"""What files of unknown origin do: a small seed of `make attack`, and that its judge sees what it is there to see."""
 
 import hashlib
 import json

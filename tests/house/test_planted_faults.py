@@ -170,8 +170,8 @@ def test_groups_have_their_orders_without_duplicates():
         assert len(np.unique(np.round(group.reshape(-1, 9), 6) + 0.0, axis=0)) == order == len(group)
 
 
-def run_with(tmp_path, node, fault=None):
-    """Run one test on a copy of the package, with a fault planted; return pytest's exit code, output and report."""
+def run_with(tmp_path, nodes, fault=None):
+    """Run tests on a copy of the package, with a fault planted; return pytest's exit code, output and report."""
     for source, package in PACKAGES.items():
         shutil.copytree(ROOT / source, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     if fault:
@@ -183,7 +183,7 @@ def run_with(tmp_path, node, fault=None):
     report = tmp_path / "report.xml"
     command = [sys.executable, "-P", "-m", "pytest", "-p", "no:cacheprovider", "-x", f"--junitxml={report}"]
     done = subprocess.run(
-        [*command, f"tests/{node}"],
+        [*command, *(f"tests/{node}" for node in nodes)],
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
         capture_output=True,
@@ -200,17 +200,18 @@ def failed_claims(report):
 
 
 @pytest.mark.blender
-@pytest.mark.parametrize("node", sorted({fault[3] for fault in FAULTS.values()}))
-def test_nothing_planted_fails_nothing(node, tmp_path):
-    code, output, _ = run_with(tmp_path, node)
+def test_nothing_planted_fails_nothing(tmp_path):
+    nodes = sorted({fault[3] for fault in FAULTS.values()})
+    code, output, report = run_with(tmp_path, nodes)
     assert code == pytest.ExitCode.OK, output
+    assert len(list(ET.parse(report).iter("testcase"))) == len(nodes)
 
 
 @pytest.mark.blender
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_planted_fault_fails_its_test(name, tmp_path):
     *fault, node = FAULTS[name]
-    code, output, report = run_with(tmp_path, node, fault)
+    code, output, report = run_with(tmp_path, [node], fault)
     assert code == pytest.ExitCode.TESTS_FAILED, output
     assert failed_claims(report), output
 
@@ -218,6 +219,6 @@ def test_a_planted_fault_fails_its_test(name, tmp_path):
 def test_a_crash_is_not_taken_for_a_fault_that_was_found(tmp_path):
     fault = ("symsol_annot/rotations/groups.py", "np.diag([1.0, -1.0, -1.0])", "np.diag(undefined)")
     node = "house/test_planted_faults.py::test_groups_have_their_orders_without_duplicates"
-    code, output, report = run_with(tmp_path, node, fault)
+    code, output, report = run_with(tmp_path, [node], fault)
     assert code == pytest.ExitCode.TESTS_FAILED, output
     assert failed_claims(report) == []

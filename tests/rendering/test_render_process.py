@@ -198,7 +198,7 @@ def test_the_log_holds_the_last_request_alone(renderer):
     assert log_bytes(renderer) <= after_few + 100  # lines differ by the digits of a duration
 
 
-def test_last_words_are_text_however_long_blender_worked():
+def test_the_quoted_output_is_text_however_long_blender_worked():
     with open_renderer() as renderer:
         renderer.marking_pixels(rotations(200))
         os.kill(renderer.pid, signal.SIGKILL)

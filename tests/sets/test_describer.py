@@ -21,6 +21,7 @@ from made_sets import make_set
 from tampering import descriptors
 
 from symsol_annot import load
+from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.errors import DataError, PredictionsError
 from symsol_annot.sets import plan
 from symsol_annot.sets.shard import reader as shards
@@ -109,7 +110,7 @@ def test_process_that_cannot_be_started_is_an_error_of_ours(many_shards, monkeyp
     with pytest.raises(DataError, match=r"0\.h5: the process that opens it cannot be started: No such file"):
         opens(many_shards[0])
     with pytest.raises(PredictionsError, match="cannot be started: No such file"):
-        sandbox.SandboxedFile(many_shards[0])
+        SandboxedFile(many_shards[0])
     monkeypatch.undo()
     assert opens(many_shards[0]) == (16, 3, 3)
 

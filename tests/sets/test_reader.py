@@ -484,7 +484,7 @@ def seven_bits():
 
 
 GZIP = "those of the numbers"
-STRANGERS = {
+FOREIGN_FILES = {
     "external link": (external_link, ["'image' is a link into another file", "where a data set in this file belongs"]),
     "soft link": (soft_link, ["'image' is a soft link to '/elsewhere'", "'elsewhere' is not part of the format"]),
     "soft link to itself": (soft_link_to_itself, ["'image' is a soft link to '/image'"]),
@@ -605,9 +605,9 @@ STRANGERS = {
 }
 
 
-@pytest.mark.parametrize("case", STRANGERS)
-def test_strangers_file_is_refused_by_the_name_of_its_fault(shard, tmp_path, case):
-    tamper, words = STRANGERS[case]
+@pytest.mark.parametrize("case", FOREIGN_FILES)
+def test_foreign_file_is_refused_by_the_name_of_its_fault(shard, tmp_path, case):
+    tamper, words = FOREIGN_FILES[case]
     whole = Path(shutil.copy(shard, tmp_path / "whole.h5"))  # so that what a link leads to is as expected
     with h5py.File(shard, "r+") as file:
         tamper(file, whole)

@@ -325,7 +325,7 @@ def test_arrays_that_do_not_have_their_content_digest_are_found(tetX_set):
     assert verify(tetX_set) == [f"{SECOND}: its arrays do not have the digest content_sha256 {'0' * 64}"]
 
 
-def test_strangers_file_under_a_shards_name_is_found(tetX_set):
+def test_foreign_file_under_a_shards_name_is_found(tetX_set):
     with tampered(tetX_set) as shard:
         shard["thumbnail"] = np.zeros(3)
     (fault,) = verify(tetX_set)

@@ -334,7 +334,7 @@ HOSTILE = {
     "a table that is no zip": (_put(TABLE, b"PK nothing"), "test/rotations.npz: File is not a zip file"),
     "a split without the object": (_put(TABLE, npz({"cube": IDENTITIES})), "has no cube, the other split has"),
     "no objects": (_put(TABLE, npz({})), "has no tet, the other split has"),
-    "a stranger": (
+    "something else": (
         _put(TABLE, npz({"../../etc": IDENTITIES})),
         r"holds '\.\./\.\./etc\.npy', which is none of SYMSOL's objects",
     ),

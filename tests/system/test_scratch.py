@@ -55,7 +55,7 @@ def test_a_sweep_removes_what_a_killed_owner_left_and_nothing_of_the_living(temp
     mine.close()
 
 
-def test_a_sweep_touches_no_stranger_and_follows_no_link(temporary):
+def test_a_sweep_touches_nothing_foreign_and_follows_no_link(temporary):
     (temporary / "another-program").mkdir()
     elsewhere = temporary / "elsewhere"
     elsewhere.mkdir()

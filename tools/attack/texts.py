@@ -1,4 +1,4 @@
-"""Objects, recipes and scores: text that strangers send, damaged."""
+"""Objects, recipes and scores: text of unknown origin, damaged."""
 
 import copy
 import json

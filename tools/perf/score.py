@@ -19,6 +19,7 @@ import torch
 
 from symsol_annot import load
 from symsol_annot.bench.predictions.predictions_reader import Predictions
+from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.bench.predictions.tracks.hypotheses import HypothesesReader
 from symsol_annot.bench.predictions.truth import truth_of
 from symsol_annot.bench.predictions.writing.submission import write_columns, write_hypotheses
@@ -32,7 +33,6 @@ from symsol_annot.rendering.renderer import View
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.plan import SetPlan
-from symsol_annot.system.sandbox.hdf5_process import SandboxedFile
 
 SIZE = 16
 M = 30

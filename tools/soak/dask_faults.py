@@ -1,4 +1,4 @@
-"""Faults of a Dask cluster: no scheduler, strangers at its address, workers that differ, leave, hang or never come.
+"""Faults of a Dask cluster: no scheduler, impostors at its address, workers that differ, leave, hang or never come.
 
 python tools/soak/dask_faults.py [--only WORDS] [--patient]
 
@@ -22,7 +22,7 @@ from trials import SET, try_all, undisturbed_set
 from symsol_annot import __version__
 
 GOES_ON = "the same command goes on"
-STRANGER = """
+IMPOSTOR = """
 import socket, sys
 with socket.create_server(("127.0.0.1", 0)) as server:
     print(server.getsockname()[1], flush=True)
@@ -66,8 +66,8 @@ def no_scheduler_file(trial):
     trial.resumes()
 
 
-def stranger(program, says, trial):
-    running = trial.site.start("stranger", sys.executable, "-c", program, says)
+def impostor(program, says, trial):
+    running = trial.site.start("impostor", sys.executable, "-c", program, says)
     port = wait_for(lambda: running.said("out").strip())
     words = ("something that is no Dask scheduler answers there", "the address that `dask scheduler` prints")
     trial.refuses(trial.start("--cluster", f"tcp://127.0.0.1:{port}"), *words)
@@ -255,10 +255,10 @@ FAULTS = (
     ("scheduler absent", "no address", partial(no_address, "nonsense")),
     ("scheduler absent", "no scheduler file", no_scheduler_file),
     ("scheduler killed", "in the middle", scheduler_dies),
-    ("stranger at the address", "a web server", partial(stranger, HTTP, "")),
-    ("stranger at the address", "an SSH server's banner", partial(stranger, STRANGER, BANNER)),
-    ("stranger at the address", "accepts and says nothing", partial(stranger, STRANGER, "")),
-    ("stranger at the address", "a Dask worker", worker_as_scheduler),
+    ("impostor at the address", "a web server", partial(impostor, HTTP, "")),
+    ("impostor at the address", "an SSH server's banner", partial(impostor, IMPOSTOR, BANNER)),
+    ("impostor at the address", "accepts and says nothing", partial(impostor, IMPOSTOR, "")),
+    ("impostor at the address", "a Dask worker", worker_as_scheduler),
     ("Dask not installed", "with the command", without_dask),
     ("version mismatch", "another symsol-annot, installed", partial(other_worker, IS_OTHER, OTHER)),
     ("version mismatch", "no symsol-annot", partial(other_worker, ["lacks symsol-annot: there, `pip"], NO_PACKAGE)),

@@ -1,6 +1,6 @@
 """What the files of a leaderboard say: image sets, results on them, reference rows, and the thesis's own numbers.
 
-Strangers send these files in: names, numbers and shapes are checked here, words are escaped by who shows them.
+Anybody may send such files in: names, numbers and shapes are checked here, words are escaped by who shows them.
 """
 
 import datetime as dt

@@ -6,7 +6,7 @@
     SET/NAME.json           its scores, as `score --json` wrote them
     SET/reference/ROW.json  scores of a reference row, as `reference` wrote them; shown beside results, not ranked
 
-A result is held against its set, and its figures against those of its images. Strangers send these files in: names,
+A result is held against its set, and its figures against those of its images. Anybody may send such files in: names,
 numbers and shapes are checked here and in `entries.py`, words are escaped by who shows them.
 """
 

@@ -25,7 +25,7 @@ STANDARD_THRESHOLD = 0.8  # of a probability, T of eq. 7.4
 ROTATION_TOLERANCE = {"<f4": 1e-4, "<f8": 1e-4}
 FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32"}  # by HDF5's numbers: those that every build has
 MAX_CHUNK_BYTES = 2**28
-_SHOWN_CHARACTERS = 100  # of a stranger's value in a message
+_SHOWN_CHARACTERS = 100  # of a file's value in a message
 
 
 def version_fault(found: Any, expected: int) -> str:

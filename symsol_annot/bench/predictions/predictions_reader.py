@@ -10,6 +10,7 @@ from symsol_annot.bench.predictions.advice.mends import mend_of_file
 from symsol_annot.bench.predictions.faults import FaultLog
 from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES, PREDICTIONS_FORMAT, THE_FILE
 from symsol_annot.bench.predictions.proposals import Predicted
+from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.bench.predictions.structure import Structure, shown
 from symsol_annot.bench.predictions.tracks.table import TRACK_OF_DATASET, TRACKS
 from symsol_annot.bench.predictions.tracks.track import TrackReader
@@ -17,7 +18,6 @@ from symsol_annot.bench.predictions.truth import Truth, read_truth
 from symsol_annot.errors import DataError, PredictionsError
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.system.reading import file_sha256
-from symsol_annot.system.sandbox.hdf5_process import SandboxedFile
 from symsol_annot.system.text.names import (
     METHOD_NAME_RULE,
     OBJECT_NAME_RULE,

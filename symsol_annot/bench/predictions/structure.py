@@ -21,10 +21,11 @@ from symsol_annot.bench.predictions.format import (
     version_fault,
 )
 from symsol_annot.bench.predictions.queries import group_sha256
+from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.bench.predictions.truth import Truth
 from symsol_annot.errors import PredictionsError
 from symsol_annot.rotations.grid import grid_sha256
-from symsol_annot.system.sandbox.hdf5_process import DatasetFacts, SandboxedFile
+from symsol_annot.system.sandbox.hdf5_process import DatasetFacts
 
 _MAX_EXPANSION = 1100  # gzip's is 1032; what is larger was never written
 _FREE_BYTES = 2**26  # of such a data set
@@ -38,7 +39,7 @@ _ADVICE = {
 
 
 def shown(value: Any) -> str:
-    """Return a stranger's value for a message: in quotes, with control characters escaped, and short."""
+    """Return a file's value for a message: in quotes, with control characters escaped, and short."""
     return repr(value) if len(repr(value)) <= _SHOWN_CHARACTERS else f"{repr(value)[:_SHOWN_CHARACTERS]}..."
 
 

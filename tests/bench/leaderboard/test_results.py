@@ -263,7 +263,7 @@ def test_how_a_result_was_made_stands_on_the_page(folder):
     assert "an abacus" in page
 
 
-def test_a_strangers_words_are_text(folder):
+def test_words_of_unknown_origin_are_text(folder):
     file = folder / "tiny" / "near.toml"
     file.write_text(file.read_text().replace("The near one", "a | b <script>x</script> [y](z)\\n# h"))
     page = page_of(folder)
@@ -274,7 +274,7 @@ def test_a_strangers_words_are_text(folder):
     assert len(re.split(r"(?<!\\)\|", row)) == 2 + len(tables_of(page)["tetX, hypotheses"][0])
 
 
-def test_a_strangers_set_is_text(folder):
+def test_a_set_of_unknown_origin_is_text(folder):
     title = 'title = "Tiny"\n'
     change_of("set.toml", title, title + r'notes = "<script>x</script> [y](z)\n\u202e# `h`"' + "\n")(folder / "tiny")
     line = next(line for line in page_of(folder).splitlines() if "of the test split" in line)

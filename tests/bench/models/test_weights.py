@@ -123,7 +123,7 @@ def safely_saved(tmp_path, tensors):
     return path
 
 
-def stranger(code, path):
+def unprivileged(code, path):
     """What code says on standard error as a user who owns nothing here."""
     for folder in [*path.parents][:-2]:  # up to /tmp, which all may enter
         folder.chmod(folder.stat().st_mode | 0o055)
@@ -332,7 +332,7 @@ def test_what_is_no_regular_file_is_refused_without_waiting(suffix, tmp_path):
 def test_a_file_that_may_not_be_read_says_why(tmp_path):
     path = safely_saved(tmp_path, {"a": torch.zeros(1)})
     path.chmod(0)
-    said = stranger("from symsol_annot.bench.weights import read_weights; read_weights(Path(sys.argv[1]))", path)
+    said = unprivileged("from symsol_annot.bench.weights import read_weights; read_weights(Path(sys.argv[1]))", path)
     assert "WeightsError" in said
     assert "cannot be read: Permission denied" in said
 

@@ -18,6 +18,7 @@ from symsol_annot.bench.predictions.format import (
     THE_FILE,
 )
 from symsol_annot.bench.predictions.predictions_reader import Predictions
+from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.bench.predictions.structure import shown
 from symsol_annot.bench.predictions.tracks.table import TRACK_OF_DATASET, TRACKS
 from symsol_annot.bench.predictions.tracks.track import Track
@@ -28,7 +29,6 @@ from symsol_annot.bench.predictions.writing.kept_answers import KeptAnswers, Res
 from symsol_annot.errors import PredictionsError, SettingsError, output_errors
 from symsol_annot.sets.dataset import Dataset
 from symsol_annot.system.files import replaced
-from symsol_annot.system.sandbox.hdf5_process import SandboxedFile
 from symsol_annot.system.text.names import METHOD_NAME_RULE, is_method_name
 
 _CHUNK_BYTES = 2**18

@@ -1,4 +1,4 @@
-"""The process that opens a stranger's file: what it may not do, and what its end looks like from outside."""
+"""The process that opens a file of unknown origin: what it may not do, and what its end looks like from outside."""
 
 import contextlib
 import os
@@ -17,9 +17,9 @@ from fuzz_predictions import IMAGES, Opened, forked_children, valid_attributes, 
 from made_sets import make_set
 
 from symsol_annot import load
+from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.errors import PredictionsError
 from symsol_annot.system.sandbox import hdf5_child
-from symsol_annot.system.sandbox.hdf5_process import SandboxedFile
 
 COMMAND = (sys.executable, "-c", "from symsol_annot_cli.main import main; main()")
 ROWS = np.arange(12.0).reshape(4, 3)
@@ -181,7 +181,7 @@ def test_an_early_end_ends_in_a_message(path, monkeypatch):
 def test_a_process_outlives_no_parent(path):
     program = (
         "import sys, time; from pathlib import Path\n"
-        "from symsol_annot.system.sandbox.hdf5_process import SandboxedFile\n"
+        "from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile\n"
         "file = SandboxedFile(Path(sys.argv[1])); file.datasets; print(file._process.pid, flush=True); time.sleep(600)"
     )
     with subprocess.Popen([sys.executable, "-c", program, str(path)], stdout=subprocess.PIPE, text=True) as parent:
