@@ -1,7 +1,7 @@
 """Makes docs/results/leaderboard/small: .venv/bin/python docs/baselines.py FOLDER [--only STEP] [--object NAME].
 
 Renders, trains, predicts and scores the small tier in FOLDER, by the commands that the results then name. The same
-command goes on where it stopped. Notes that somebody wrote into a result's file are kept. With OMP_NUM_THREADS=1 two
+command resumes. Notes that somebody wrote into a result's file are kept. With OMP_NUM_THREADS=1 two
 objects may be trained at once, one on each core.
 """
 

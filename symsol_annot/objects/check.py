@@ -90,7 +90,7 @@ def distance_to_triangles(points: Points, triangles: Points) -> npt.NDArray[np.f
 
 
 def _distances(points: Points, triangles: Points) -> npt.NDArray[np.float64]:
-    """Return the same by brute force: the plane where the foot falls inside the triangle, else its edges."""
+    """Return (P,) distances to the nearest triangle: to its plane where the foot is inside, else to its edges."""
     edges = np.roll(triangles, -1, axis=1) - triangles  # (T, 3, 3)
     normals = np.cross(edges[:, 0], edges[:, 1])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -227,7 +227,7 @@ def _annotate(source: SymsolZip, name: str) -> str:
     if listed["train"] == 1:
         return "test"
     found = ", ".join(f"{number} in {split}" for split, number in listed.items())
-    raise DataError(f"{source.path}: {name}: expected as many rotations an image in both splits, found {found}")
+    raise DataError(f"{source.path}: {name}: expected as many rotations per image in both splits, found {found}")
 
 
 def _keep(

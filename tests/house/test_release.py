@@ -121,7 +121,7 @@ def project_wheel(folder):
 
 
 def chance_figures(folder):
-    """What 30 random rotations an image score on the same images; the example has 16."""
+    """What 30 random rotations per image score on the same images; the example has 16."""
     test = symsol_annot.load_sample("tetX")
     reference.uniform(folder / "uniform.h5", test, truth_of(test), 1)
     figures = score_file(folder / "uniform.h5", test.folder).tracks["hypotheses"].figures["all"]

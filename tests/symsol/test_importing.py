@@ -354,7 +354,7 @@ HOSTILE = {
     "another's": (_rotations(lambda t: _set(t, (11, 5), t[12, 5])), "image 11: its list is not R g"),
     "no common list": (_rotations(lambda t: _set(t, (4, 5), t[3, 5]), "test"), "of the first 6 images are not R g"),
     "no group": (_rotations(lambda t: t[:, :5], "train", "test"), "different rotations of a list make no group"),
-    "an element lost": (_rotations(lambda t: t[:, :11]), "as many rotations an image in both splits"),
+    "an element lost": (_rotations(lambda t: t[:, :11]), "as many rotations per image in both splits"),
     "another size": (_put(IMAGE, png(np.zeros((16, 17, 3), np.uint8))), r"shape \(16, 17, 3\), the object's first"),
     "half a PNG": (_put(IMAGE, lambda data: data[: len(data) // 2]), "tet_00004.png: image file is truncated"),
     "no PNG": (_put(IMAGE, _jpeg), "tet_00004.png: is no PNG"),

@@ -121,7 +121,7 @@ class _Bare:
 
 
 def _rate(step, seconds, device):
-    """Return images a second of steps that go on for so long, and images a second of this process's own time."""
+    """Return images per second of steps that go on for so long, and images per second of this process's own time."""
     _wait(device)
     start, own_start, images = time.perf_counter(), time.process_time(), 0
     for number in itertools.count():
