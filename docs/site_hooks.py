@@ -18,6 +18,7 @@ FROM_ROOT = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md
 FROM_ROOT |= {f"examples/{path.name}": f"examples/{path.name}" for path in ROOT.glob("examples/*.py")}
 
 _LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)([^)#]+)(#[^)]*)?\)")
+_FENCED = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 _INLINE = re.compile(r'<span class="arithmatex">\\\((.+?)\\\)</span>', re.DOTALL)
 _DISPLAYED = re.compile(r'<div class="arithmatex">\s*\\\[(.+?)\\\]\s*</div>', re.DOTALL)
 _BAR = "<mo>&#x0007C;</mo>"  # which browsers would set as an operator between two others
@@ -31,9 +32,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Turn links as the code host has them into the site's."""
+    """Turn links as the code host has them into the site's; fenced code stays as it is."""
     folder = ROOT if page.file.src_uri in FROM_ROOT.values() else (DOCS / page.file.src_uri).parent
-    return _LINK.sub(lambda link: _site_link(folder, *link.groups(default="")), markdown)
+    parts = _FENCED.split(markdown)
+    parts[::2] = [_LINK.sub(lambda link: _site_link(folder, *link.groups(default="")), part) for part in parts[::2]]
+    return "".join(parts)
 
 
 def _site_link(folder: Path, label: str, target: str, heading: str) -> str:

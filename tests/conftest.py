@@ -1,8 +1,9 @@
-"""Fixtures: small sets, which are made once per session, and the command in this process."""
+"""Fixtures: small sets, which are made once per session, a folder for every user, and the command in this process."""
 
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,17 @@ def _pristine(tmp_path_factory):
 def tetX_set(_pristine, tmp_path):
     """A copy of a small tetX set that a test may damage."""
     return Path(shutil.copytree(_pristine, tmp_path / "tetX"))
+
+
+@pytest.fixture
+def open_folder():
+    """A folder that every user can reach, which pytest's own are not."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o755)
+    yield folder
+    for path in (folder, *folder.rglob("*")):
+        path.chmod(0o755)
+    shutil.rmtree(folder)
 
 
 @pytest.fixture

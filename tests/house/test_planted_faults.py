@@ -113,7 +113,7 @@ FAULTS = {
         "symsol_annot/bench/scoring/scorers/classifier.py",
         'thresholds.astype(in_order.dtype), side="right"',
         'thresholds.astype(in_order.dtype), side="left"',
-        "bench/scoring/test_scoring.py::test_a_float32_answer_of_the_threshold_is_no_claim_either",
+        "bench/scoring/test_classifier.py::test_a_float32_answer_of_the_threshold_is_no_claim_either",
     ),
     "last images of an epoch left out": (
         "symsol_annot/sets/epoch_order.py",
@@ -137,7 +137,7 @@ FAULTS = {
         "symsol_annot/bench/models/networks/first_stage.py",
         "super().train(mode and not self._is_frozen)",
         "super().train(mode)",
-        "bench/models/test_networks.py::test_a_frozen_first_stage_stays_to_the_bit_while_the_second_learns",
+        "bench/models/test_first_stage.py::test_a_frozen_first_stage_stays_to_the_bit_while_the_second_learns",
     ),
     "queries in order": (
         "symsol_annot/bench/predictions/queries.py",
@@ -170,6 +170,9 @@ def test_groups_have_their_orders_without_duplicates():
         assert len(np.unique(np.round(group.reshape(-1, 9), 6) + 0.0, axis=0)) == order == len(group)
 
 
+CLAIMS = ("AssertionError", "assert ", "Failed: DID NOT", "symsol_annot.errors.")
+
+
 def run_with(tmp_path, nodes, fault=None):
     """Run tests on a copy of the package, with a fault planted; return pytest's exit code, output and report."""
     for source, package in PACKAGES.items():
@@ -194,9 +197,9 @@ def run_with(tmp_path, nodes, fault=None):
 
 
 def failed_claims(report):
-    """Return what tests said whose own claim failed; a crash in a test, or around it, is none."""
+    """Return what tests said whose own claim failed, or that the library refused; any other crash is none."""
     messages = [failure.get("message", "") for failure in ET.parse(report).iter("failure")]
-    return [message for message in messages if message.startswith(("AssertionError", "assert ", "Failed: DID NOT"))]
+    return [message for message in messages if message.startswith(CLAIMS)]
 
 
 @pytest.mark.blender
@@ -204,7 +207,7 @@ def test_nothing_planted_fails_nothing(tmp_path):
     nodes = sorted({fault[3] for fault in FAULTS.values()})
     code, output, report = run_with(tmp_path, nodes)
     assert code == pytest.ExitCode.OK, output
-    assert len(list(ET.parse(report).iter("testcase"))) == len(nodes)
+    assert len(list(ET.parse(report).iter("testcase"))) >= len(nodes)  # some are run with several parameters
 
 
 @pytest.mark.blender

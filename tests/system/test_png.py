@@ -4,6 +4,9 @@ import io
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from symsol_annot.sets.shard import chunks
@@ -18,6 +21,15 @@ PALETTE = np.array([[255, 255, 255], [10, 20, 30], [200, 100, 0]], dtype=np.uint
 def test_every_value_is_kept(pixels):
     with Image.open(io.BytesIO(to_png(pixels))) as picture:
         np.testing.assert_array_equal(np.asarray(picture), pixels)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.one_of(*(arrays(np.uint8, st.tuples(*[st.integers(1, 9)] * 2, *rest)) for rest in ((), (st.just(3),)))))
+def test_a_png_holds_every_value(pixels):
+    with Image.open(io.BytesIO(to_png(pixels))) as image:
+        image.load()
+        assert image.mode == ("RGB" if pixels.ndim == 3 else "L")
+        assert np.array_equal(np.asarray(image), pixels)
 
 
 def test_indices_of_a_palette_are_kept_and_the_first_is_transparent():

@@ -27,21 +27,23 @@ from symsol_annot.system.text.names import (
     is_split,
 )
 
+_MOST_TIMES_NEEDED, _MOST_BESIDE = 4, 2**29  # of the bytes that a file's values take; HDF5 leaves holes in files
+
 
 class Predictions:
     """A predictions file whose structure was checked; its contents are checked as its tracks are read.
 
     Attributes:
         path: of the file.
-        sha256: of the file, as hexadecimal; empty where `open_predictions` did not open it.
+        sha256: of the file, as hexadecimal; empty where it has faults, or `open_predictions` did not open it.
         method: what the method calls itself.
         truth: of the object and split that it is about.
         faults: found so far; complete once all tracks were gone through.
         readers: of those tracks that are there and can be read.
     """
 
-    def __init__(self, file: SandboxedFile, truth: Truth, sha256: str = "") -> None:
-        self.path, self.truth, self.sha256, self.faults = file.path, truth, sha256, FaultLog()
+    def __init__(self, file: SandboxedFile, truth: Truth) -> None:
+        self.path, self.truth, self.sha256, self.faults = file.path, truth, "", FaultLog()
         structure = Structure(file, truth, self.faults, TRACK_OF_DATASET)
         structure.has_attributes(FILE_ATTRIBUTES, THE_FILE)
         self.method = str(file.attributes.get("method", ""))
@@ -119,15 +121,31 @@ def open_predictions(path: str | os.PathLike[str], data: str | os.PathLike[str])
         raise PredictionsError(str(path), [found])
     before = _identity(Path(path))
     with SandboxedFile(Path(path)) as file:
-        truth = read_truth(data, *_subject(file))
-        try:
-            sha256 = file_sha256(Path(path))
-        except OSError as error:
-            raise PredictionsError(str(path), [f"{THE_FILE}: cannot be read: {error.strerror or error}"]) from None
-        yield Predictions(file, truth, sha256)
+        predictions = Predictions(file, read_truth(data, *_subject(file)))
+        if fault := _excess(file):
+            predictions.faults.add(THE_FILE, fault)
+        if not predictions.faults:  # a file with faults is refused whatever its digest
+            predictions.sha256 = _sha256(Path(path))
+        yield predictions
     if _identity(Path(path)) != before:
         fault = f"{THE_FILE}: was changed while it was read; try again once its writer is done"
         raise PredictionsError(str(path), [fault])
+
+
+def _sha256(path: Path) -> str:
+    try:
+        return file_sha256(path)
+    except OSError as error:
+        raise PredictionsError(str(path), [f"{THE_FILE}: cannot be read: {error.strerror or error}"]) from None
+
+
+def _excess(file: SandboxedFile) -> str:
+    """Say where a file is far larger than its data sets, whose digest would take as long as somebody likes; else ""."""
+    needed = sum(facts.values_bytes for facts in file.datasets.values() if not facts.found)
+    size = file.path.stat().st_size
+    if size <= _MOST_TIMES_NEEDED * needed + _MOST_BESIDE:
+        return ""
+    return f"has {size:,} bytes, of which its data sets need {needed:,}; HDF5's `h5repack` writes it without the rest"
 
 
 def _identity(path: Path) -> tuple[int, ...]:

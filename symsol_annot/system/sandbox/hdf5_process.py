@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -68,6 +69,11 @@ class DatasetFacts:
     chunks: tuple[int, ...] | None = None
     chunk_bytes: int = 0
     places: npt.NDArray[np.uint64] = field(default_factory=lambda: np.zeros((0, 4), np.uint64))
+
+    @property
+    def values_bytes(self) -> int:
+        """How many bytes its values take without compression."""
+        return math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,55 @@
+"""What a bundle is compared with: the sets that are in it, its bytes, and what refuses it."""
+
+import subprocess
+
+import numpy as np
+import pytest
+
+from symsol_annot.publish.about import About
+from symsol_annot.publish.publication import publish
+from symsol_annot.publish.sets import sets_in
+
+SPLITS = [("cylO", "test"), ("tet", "train"), ("tetX", "train"), ("tetX", "test")]  # tetX's train has no sets
+
+
+def snapshot(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def assert_same(row, sample):
+    """A row of any mirror is the sample: types, bits, entries."""
+    image, segmentation = row["image"], row["segmentation"]
+    assert (image.mode, segmentation.mode) == ("RGB", "L")
+    assert np.array_equal(np.asarray(image), sample.image)
+    assert np.array_equal(np.asarray(segmentation), sample.segmentation)
+    rotation = np.array(row["rotation"])
+    assert rotation.dtype == np.float64
+    assert rotation.tobytes() == sample.rotation.tobytes()
+    if sample.symmetry_mask is None:
+        assert row["symmetry_mask"] is None
+    else:
+        mask = np.array(row["symmetry_mask"])
+        assert mask.dtype == bool
+        assert np.array_equal(mask, sample.symmetry_mask)
+    assert row["index"] == sample.index
+    assert np.float32(row["marking_pixels"]) == np.float32(sample.marking_pixels)
+    assert row["marking_visible"] is sample.marking_visible
+
+
+def assert_all_same(rows, samples):
+    assert len(rows) == len(samples)
+    for row, sample in zip(rows, samples, strict=True):
+        assert_same(row, sample)
+
+
+def assert_whole(bundle):
+    subprocess.run(["sha256sum", "-c", "--strict", "--status", "SHA256SUMS"], cwd=bundle, check=True)
+
+
+def assert_refused(folder, out, error, *words):
+    """Refused with these words, and whatever is in the output folder stays as it is."""
+    before = snapshot(out)
+    with pytest.raises(error) as caught:
+        publish(sets_in(folder), out, About())
+    assert all(word in str(caught.value) for word in words), caught.value
+    assert snapshot(out) == before
