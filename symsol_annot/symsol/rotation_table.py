@@ -53,7 +53,9 @@ class RotationTable:
             data = self._file.read(size)
             if len(data) != size:
                 raise ValueError("it ends before its last image")
-        return np.frombuffer(data, self.header.dtype).reshape(shape).astype(np.float64)
+            found = np.frombuffer(data, self.header.dtype).reshape(shape).astype(np.float64)
+            found[np.isinf(found)] = np.nan  # which is no rotation either, and subtracts without a warning
+        return found
 
 
 def _read_header(file: IO[bytes]) -> TableHeader:

@@ -69,7 +69,8 @@ class Checkpoints(Kind):
         header, data = json.loads(content[8 : 8 + length]), content[8 + length :]
         header, done = _damaged_header(header, rng)
         text = json_bytes(header)
-        size = len(text) if rng.random() < 0.9 else int(rng.choice([0, 1, 2**31, 2**62, 2**64 - 1, len(text) + 1]))
+        sizes = (0, 1, 2**31, 2**62, 2**64 - 1, len(text) + 1)
+        size = len(text) if rng.random() < 0.9 else sizes[rng.integers(len(sizes))]
         return struct.pack("<Q", size) + text + data, [*done, f"header of {size}"]
 
     def _action(self, run, damaged, place, rng):

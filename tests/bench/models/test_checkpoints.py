@@ -61,6 +61,21 @@ def test_a_damaged_state_is_refused_and_nothing_lost(trained, images, tmp_path):
         train(HYPOTHESES, images, out, CPU, name="hypotheses")
 
 
+@pytest.mark.parametrize("place", [0.0, 0.3, 0.99])
+def test_a_bit_flipped_in_the_tensors_is_refused(trained, images, tmp_path, place):
+    out = Path(shutil.copytree(trained["hypotheses"], tmp_path / "run"))
+    for name in ("weights.safetensors", "state.safetensors"):
+        data = bytearray((out / name).read_bytes())
+        begin = 8 + int.from_bytes(data[:8], "little")
+        data[begin + int(place * (len(data) - begin))] ^= 1
+        (out / name).write_bytes(data)
+    with pytest.raises(WeightsError, match="is damaged: its contents have another SHA-256"):
+        open_checkpoint(out)
+    with pytest.raises(WeightsError, match="is damaged: its contents have another SHA-256"):
+        train(HYPOTHESES, images, out, CPU, name="hypotheses")
+    assert (out / "state.safetensors").read_bytes() == bytes(data)
+
+
 def test_checkpoints_hold_no_pickles(trained):
     for folder in trained.values():
         tensors = {path for path in folder.iterdir() if path.suffix == ".safetensors"}

@@ -6,9 +6,12 @@
     recipe.toml, metrics.csv, curve.png   to look at; nothing reads them
 
 state.safetensors is written first and holds all of the others, so that they agree again whenever training goes on.
+Each of the three states the SHA-256 of what it holds, so that a damaged one is refused.
 """
 
 import contextlib
+import hashlib
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +39,7 @@ from symsol_annot.system.files import write_atomically
 WEIGHTS_FILE, BEST_FILE, STATE_FILE = "weights.safetensors", "best.safetensors", "state.safetensors"
 RECIPE_FILE, FIGURES_FILE, CURVE_FILE = "recipe.toml", "metrics.csv", "curve.png"
 _MEANS = ("exp_avg", "exp_avg_sq", "step")  # what Adam keeps of each parameter
+_DIGEST = "contents_sha256"  # among the metadata; files of before lack it
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +132,11 @@ def read_checkpoint_file(file: Path) -> tuple[TrainingRecord, Content]:
     """
     with _reading_errors(file):
         content = read_content(file)
-    return record_from_metadata(content.metadata, file), content
+    record = record_from_metadata(content.metadata, file)
+    stated = content.metadata.get(_DIGEST)
+    if stated is not None and stated != _contents_sha256(content.metadata, content.tensors):
+        raise WeightsError(f"{file}: the checkpoint is damaged: its contents have another SHA-256 than it states")
+    return record, content
 
 
 @contextlib.contextmanager
@@ -207,4 +215,18 @@ def _laid_out_like(parameter: torch.Tensor, tensor: torch.Tensor) -> torch.Tenso
 
 def _write(path: Path, tensors: Mapping[str, torch.Tensor], record: TrainingRecord) -> None:
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    write_atomically(path, safetensors.torch.save(plain, record_to_metadata(record)))
+    metadata = record_to_metadata(record)
+    metadata[_DIGEST] = _contents_sha256(metadata, plain)
+    write_atomically(path, safetensors.torch.save(plain, metadata))
+
+
+def _contents_sha256(metadata: Mapping[str, str], tensors: Mapping[str, torch.Tensor]) -> str:
+    """Return the digest of all texts but the digest itself, and of all tensors, each with its name."""
+    digest = hashlib.sha256()
+    for name in sorted(metadata.keys() - {_DIGEST}):
+        digest.update(json.dumps([name, metadata[name]]).encode())
+    for name in sorted(tensors):
+        tensor = tensors[name]
+        digest.update(json.dumps([name, str(tensor.dtype), list(tensor.shape)]).encode())
+        digest.update(tensor.contiguous().reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
