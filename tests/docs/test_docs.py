@@ -1,5 +1,6 @@
 """What the documents say is what the code does: their code runs, their links lead somewhere."""
 
+import json
 import re
 import subprocess
 import sys
@@ -155,3 +156,16 @@ def test_the_metrics_page_defines_every_metric(tmp_path):
         for metric in track.per_image.values:
             name = re.sub(r"(_at|_above)_[\d.]+(_deg)?$", r"\1_T\2", metric)
             assert name in text or (name.endswith("_ceiling") and "`.._ceiling`" in text), metric
+
+
+def test_the_table_of_attacks_is_what_was_recorded():
+    recorded = json.loads((ROOT / "docs" / "results" / "attack.json").read_text())
+    page = (ROOT / "docs" / "safety.md").read_text()
+    for kind, now in recorded["after"]["kinds"].items():
+        before = recorded["before"]["kinds"][kind]
+        cells = [kind, f"{before['cases']:,}", failed(before), f"{now['cases']:,}", failed(now)]
+        assert f"| {' | '.join(cells)} | {now['slowest_s']} | {now['peak_mib']} |" in page
+
+
+def failed(row):
+    return ", ".join(f"{count} {end}" for end, count in row["ends"].items() if end not in ("right", "refused")) or "0"

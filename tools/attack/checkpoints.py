@@ -55,6 +55,8 @@ class Checkpoints(Kind):
         run = sorted(self._bases)[rng.integers(len(self._bases))]
         damaged = str(rng.choice([*_FILES, "weights.pt"], p=_SHARES))
         content, done = self._damage(self._bases[run][damaged], damaged, rng)
+        if content == self._bases[run][damaged]:  # bytes may be overwritten by their like
+            content, done = content[:-1] + bytes([content[-1] ^ 1]), [*done, "flipped the last bit"]
         for name, data in self._bases[run].items():
             (place.case / name).write_bytes(content if name == damaged else data)
         return Attempt([run, damaged, *done], self._action(run, damaged, place, rng))

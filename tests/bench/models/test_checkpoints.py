@@ -76,6 +76,14 @@ def test_a_bit_flipped_in_the_tensors_is_refused(trained, images, tmp_path, plac
     assert (out / "state.safetensors").read_bytes() == bytes(data)
 
 
+def test_a_checkpoint_whose_digest_lost_its_name_is_refused(trained, tmp_path):
+    path = copy_of(
+        trained["hypotheses"] / "weights.safetensors", tmp_path / "a.safetensors", metadata={"contents": "0"}
+    )
+    with pytest.raises(WeightsError, match="is damaged: none has a text contents"):
+        open_checkpoint(path)
+
+
 def test_checkpoints_hold_no_pickles(trained):
     for folder in trained.values():
         tensors = {path for path in folder.iterdir() if path.suffix == ".safetensors"}

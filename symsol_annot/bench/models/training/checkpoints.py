@@ -136,6 +136,8 @@ def read_checkpoint_file(file: Path) -> tuple[TrainingRecord, Content]:
     stated = content.metadata.get(_DIGEST)
     if stated is not None and stated != _contents_sha256(content.metadata, content.tensors):
         raise WeightsError(f"{file}: the checkpoint is damaged: its contents have another SHA-256 than it states")
+    if unknown := content.metadata.keys() - record_to_metadata(record).keys() - {_DIGEST}:  # its name may be damaged
+        raise WeightsError(f"{file}: the checkpoint is damaged: none has a text {min(unknown):.64}")
     return record, content
 
 
