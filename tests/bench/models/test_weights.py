@@ -200,7 +200,9 @@ def test_the_layer_of_classes_may_be_of_any_size_or_missing(classes, tmp_path):
     del weights["fc.weight"], weights["fc.bias"]
     if classes:
         weights |= {"fc.weight": torch.zeros(classes, 512), "fc.bias": torch.zeros(classes)}
-    load_pretrained(ResNet18(), safely_saved(tmp_path, weights))
+    model = ResNet18()
+    load_pretrained(model, safely_saved(tmp_path, weights))
+    assert torch.equal(model.conv1.weight, weights["conv1.weight"])
 
 
 def test_a_file_of_safetensors_loads_the_same(tmp_path):
