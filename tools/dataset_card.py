@@ -161,7 +161,7 @@ class Unpictured(Closing):
         (lower,), (upper,) = self._visibility.bounds(R_m2c[None], enough)
         is_decided = lower >= enough or upper == 0
         area_px = lower / self._per_pixel if is_decided else self.marking_pixels(R_m2c[None])[0]
-        return View(self._rgb, np.zeros_like(self._rgb[..., 0]), float(area_px))
+        return View(self._rgb, np.zeros_like(self._rgb[..., 0]), np.array([np.nan, area_px]))
 
     def marking_pixels(self, R_m2c):
         """Return the marking's visible area under each of (n, 3, 3) rotations, as Blender counts it: (n,)."""

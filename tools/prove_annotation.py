@@ -37,7 +37,7 @@ def main():
     """Compare view by view, and print and keep the counts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--object", default="cylO")
-    parser.add_argument("--engine", default="workbench")
+    parser.add_argument("--engine", default="opengl")
     parser.add_argument("--hidden", type=int, default=400)
     parser.add_argument("--grazing", type=int, default=200)
     parser.add_argument("--processes", type=int, default=2)

@@ -24,7 +24,6 @@ Counts = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
-_FLOAT32 = 1e-6  # what float32 moves it by, as a share of the lattice's width
 _PRODUCT = 1 << 18  # multiplications of one matrix product, beyond which OpenBLAS would start threads
 _NEXT = [1, 2, 0]  # the corner after each of a triangle's three
 _CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
@@ -239,7 +238,8 @@ class MarkingVisibility:
 def vertex_shift(camera: Camera, settings: RenderSettings) -> float:
     """Return by how many lattice spacings, along u or v, a renderer can move a projected vertex."""
     lattice = camera.lattice(settings.samples_per_axis)
-    return engine_named(settings.engine).vertex_shift + _FLOAT32 * max(lattice.width, lattice.height)
+    engine = engine_named(settings.engine)
+    return engine.vertex_shift + engine.float_shift * max(lattice.width, lattice.height)
 
 
 def _cross(f: Floats, g: Floats) -> Floats:

@@ -23,6 +23,16 @@ class Mesh:
     is_marking: npt.NDArray[np.bool_]
 
     @property
+    def part_ids(self) -> npt.NDArray[np.uint8]:
+        """(T,) the part that each triangle belongs to: 1 the body, 2 the marking; 0 is the background's id."""
+        return np.asarray(1 + self.is_marking, dtype=np.uint8)
+
+    @property
+    def parts(self) -> int:
+        """How many parts there are, whose ids are 1 up to that."""
+        return int(self.part_ids.max())
+
+    @property
     def marking_vertices(self) -> npt.NDArray[np.float64]:
         """The (M, 3) vertices that the marking's triangles use."""
         return self.vertices[np.unique(self.triangles[self.is_marking])]

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from symsol_annot.errors import RendererCrashedError, RendererHungError, RendererMissingError, RenderError
-from symsol_annot.rendering.engines import engines_without_opengl
+from symsol_annot.rendering.engines import Drawing, engine_named, engines_without_opengl
 from symsol_annot.rendering.renderer import Renderer, Scene
 from symsol_annot.system.scratch import Scratch, remove_marked, temporary_errors
 
@@ -202,12 +202,17 @@ def open_blender(scene: Scene) -> Renderer:
         RendererMissingError: bpy, or a library that it needs, cannot be loaded.
     """
     try:
-        from symsol_annot.rendering.blender import BlenderRenderer
+        if engine_named(scene.settings.engine).drawing is Drawing.OFFSCREEN:
+            from symsol_annot.rendering.blender.opengl import OpenGLRenderer
+
+            return OpenGLRenderer(scene)
+        from symsol_annot.rendering.blender.pipeline import PipelineRenderer
+
+        return PipelineRenderer(scene)
     except ImportError as error:
         raise RendererMissingError(
             f"Blender's module bpy cannot be loaded: {error}. `symsol-annot doctor` says what to install."
         ) from None
-    return BlenderRenderer(scene)
 
 
 Send = Callable[[Any], object]
@@ -253,7 +258,7 @@ def _environment(scratch: str) -> dict[str, str]:
     kept = {key: value for key, value in os.environ.items() if not key.startswith((*_DECIDES_PIXELS, *_SLOWS))}
     return {
         **kept,
-        "LP_NUM_THREADS": "1",
+        "LP_NUM_THREADS": "0",
         "OPENBLAS_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
         "TMPDIR": scratch,

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import RendererCrashedError
-from symsol_annot.rendering.renderer import Renderer, View
+from symsol_annot.rendering.renderer import LabelWindow, Renderer, View
 from symsol_annot.rotations.so3 import Rotations, uniform_rotations
 from symsol_annot.system.closing import Closing
 
@@ -62,6 +62,16 @@ class ControlledRenderer(Closing):
             self.on_batch()
         return np.concatenate(counts)
 
+    def label_windows(self, R_m2c: Rotations) -> list[LabelWindow]:
+        """Return what lies around the marking under each of (n, 3, 3) rotations."""
+        found: list[LabelWindow] = []
+        for start in range(0, len(R_m2c), _COUNTS_PER_SIGN):
+            self._check_now_and_then()
+            found += self._renderer.label_windows(R_m2c[start : start + _COUNTS_PER_SIGN])
+            self.frames += min(_COUNTS_PER_SIGN, len(R_m2c) - start)
+            self.on_batch()
+        return found
+
     def check(self) -> None:
         """Draw the control again; to be called before anything that was drawn is kept.
 
@@ -88,7 +98,7 @@ class ControlledRenderer(Closing):
         counts = self._renderer.marking_pixels(self._rotations)
         self.frames += 1 + len(counts)
         self._due = self.frames + FRAMES_PER_CONTROL
-        digest = hashlib.sha256(np.float64(view.marking_pixels).tobytes() + counts.tobytes())
+        digest = hashlib.sha256(view.part_pixels.tobytes() + counts.tobytes())
         for picture in (view.rgb, view.segmentation):
             digest.update(f"{picture.shape} {picture.dtype}".encode() + picture.tobytes())
         return digest.digest()

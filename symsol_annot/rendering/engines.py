@@ -1,7 +1,6 @@
 """The engines that draw: all that is known of each, in one table.
 
-An engine gets a mesh whose corners carry their colours in the camera's light, and draws one colour for each point of
-the camera's lattice, unmixed. What was hit is told by the colour (`shading.ColourIds`), whatever the engine.
+An engine draws one colour and one part's id for each point of the camera's lattice, unmixed.
 """
 
 from collections.abc import Mapping
@@ -13,10 +12,15 @@ from symsol_annot.errors import SettingsError
 
 
 class Drawing(Enum):
-    """How the colours at the mesh's corners become a frame; `blender.py` sets Blender up for each."""
+    """How a frame comes about; the room `rendering.blender` has what each takes."""
 
-    VERTEX_COLOURS = "the engine shows vertex colours as they are"
-    EMISSION = "a material of shader nodes emits them"
+    OFFSCREEN = "a shader of our own draws light and ids into a buffer in memory"
+    VERTEX_COLOURS = "Blender's render pipeline shows the colours at the mesh's corners as they are"
+    EMISSION = "Blender's render pipeline, in which a material of shader nodes emits them"
+
+
+_OPENGL_SHIFT = 1.0 / 512.0  # rounding to a sub-pixel grid of 1/256
+_FLOAT32, _FLOAT64 = 1e-6, 1e-12
 
 
 @dataclass(frozen=True)
@@ -26,11 +30,13 @@ class Engine:
     Attributes:
         name: in commands, manifests and shards.
         blender_name: what Blender calls it.
-        drawing: how it comes by the colours.
+        drawing: how a frame comes about.
         vertex_shift: by how many lattice spacings at most, along u or v, it moves a projected vertex, or casts a ray
-            beside the point: its rounding, without that of float32.
+            beside the point: its rounding, without that of floating-point numbers.
+        float_shift: what that moves a vertex besides, as a share of the lattice's width.
         needs_opengl: whether it draws with OpenGL, which then decides pixels too.
         needs_gpu: whether it is of use only with a GPU; `doctor` does not try it.
+        has_depth: whether it can tell the depth of what it draws.
         scene_settings: what is set on Blender's scene: the dotted path of each attribute, to its value.
     """
 
@@ -39,13 +45,22 @@ class Engine:
     drawing: Drawing
     vertex_shift: float
     needs_opengl: bool
+    float_shift: float = _FLOAT32
     needs_gpu: bool = False
+    has_depth: bool = False
     scene_settings: Mapping[str, Any] = field(default_factory=dict)
 
 
-_OPENGL_SHIFT = 1.0 / 512.0  # rounding to a sub-pixel grid of 1/256
-
 _ALL = (
+    Engine(
+        name="opengl",
+        blender_name="BLENDER_WORKBENCH",  # which opens the graphics device
+        drawing=Drawing.OFFSCREEN,
+        vertex_shift=_OPENGL_SHIFT,
+        needs_opengl=True,
+        float_shift=_FLOAT64,
+        has_depth=True,
+    ),
     Engine(
         name="workbench",
         blender_name="BLENDER_WORKBENCH",
@@ -96,7 +111,7 @@ _ALL = (
 )
 
 ENGINES = {engine.name: engine for engine in _ALL}
-DEFAULT_ENGINE = "workbench"
+DEFAULT_ENGINE = "opengl"
 
 
 def engine_named(name: Any) -> Engine:
@@ -113,3 +128,8 @@ def engine_named(name: Any) -> Engine:
 def engines_without_opengl() -> list[str]:
     """Return the names of the engines that draw where there is no OpenGL."""
     return [engine.name for engine in ENGINES.values() if not engine.needs_opengl]
+
+
+def engines_with_depth() -> list[str]:
+    """Return the names of the engines that tell the depth of what they draw."""
+    return [engine.name for engine in ENGINES.values() if engine.has_depth]

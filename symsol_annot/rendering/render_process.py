@@ -6,7 +6,7 @@ import numpy.typing as npt
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.blender_process import SILENCE_S, Answer, BlenderProcess, open_blender, serve
 from symsol_annot.rendering.camera import Camera
-from symsol_annot.rendering.renderer import Scene, View
+from symsol_annot.rendering.renderer import LabelWindow, Scene, View
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations, check_rotations
 from symsol_annot.system.closing import Closing
@@ -51,6 +51,14 @@ class RenderProcess(Closing):
         batches = [R_m2c[start : start + COUNTS_PER_REQUEST] for start in range(0, len(R_m2c), COUNTS_PER_REQUEST)]
         counts = [self._process.ask(("marking_pixels", batch)) for batch in batches]
         return np.concatenate([np.zeros(0), *counts])
+
+    def label_windows(self, R_m2c: Rotations) -> list[LabelWindow]:
+        """Return what lies around the marking under each of (n, 3, 3) rotations."""
+        R_m2c = check_rotations(R_m2c, "R_m2c")
+        found: list[LabelWindow] = []
+        for start in range(0, len(R_m2c), COUNTS_PER_REQUEST):
+            found += self._process.ask(("label_windows", R_m2c[start : start + COUNTS_PER_REQUEST]))
+        return found
 
     def close(self) -> None:
         """End the process, whatever it is doing; a request under way in another thread ends as a crash."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from symsol_annot.objects.mesh import Mesh
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations
 
 BACKGROUND, BODY, MARKING = 0, 1, 2  # segmentation ids
@@ -29,6 +30,11 @@ class Scene:
     camera: Camera
     settings: RenderSettings
 
+    @property
+    def part_colours(self) -> npt.NDArray[np.float64]:
+        """The (P, 3) linear RGB of the parts, in the order of their ids, of which the first is 1."""
+        return np.array([self.settings.body_colour, self.settings.marking_colour])[: self.mesh.parts]
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -37,12 +43,34 @@ class View:
     Attributes:
         rgb: (H, W, 3) u8 in sRGB, anti-aliased.
         segmentation: (H, W) u8, the id (0 background, 1 body, 2 marking) at each pixel's centre.
-        marking_pixels: the marking's visible area in pixels: the lattice points that show it, over those per pixel.
+        part_pixels: (P,) f8, the visible area of each part in pixels, the body's first: the lattice points that show
+            it, over those per pixel.
+        depth: (H, W) f4, how far along the camera's axis what is seen at each pixel's centre lies from the camera, in
+            bounding-sphere radii, 0 at the background; None unless the settings ask for it.
     """
 
     rgb: npt.NDArray[np.uint8]
     segmentation: npt.NDArray[np.uint8]
-    marking_pixels: float
+    part_pixels: npt.NDArray[np.float64]
+    depth: npt.NDArray[np.float32] | None = None
+
+    @property
+    def marking_pixels(self) -> float:
+        """The marking's visible area in pixels; 0 without a marking."""
+        return float(self.part_pixels[MARKING - 1]) if len(self.part_pixels) >= MARKING else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class LabelWindow:
+    """What lies at the lattice's points around an object's marking.
+
+    Attributes:
+        window: which points.
+        ids: (height, width) u8, the id at each of them.
+    """
+
+    window: Window
+    ids: npt.NDArray[np.uint8]
 
 
 class Renderer(AbstractContextManager["Renderer"], Protocol):
@@ -74,6 +102,19 @@ class Renderer(AbstractContextManager["Renderer"], Protocol):
 
         Returns:
             (n,) f8 in pixels: the `marking_pixels` of each rotation's view, bit for bit; 0 without a marking.
+        """
+
+    def label_windows(self, R_m2c: Rotations) -> list[LabelWindow]:
+        """Return what lies around the marking under each rotation, for views to be compared point by point.
+
+        Args:
+            R_m2c: (n, 3, 3); n may be 0.
+
+        Returns:
+            n windows, each of which holds all of the marking's points that the rotation's view has, bit for bit.
+
+        Raises:
+            RenderError: the object has no marking.
         """
 
     def close(self) -> None:

@@ -4,9 +4,11 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from symsol_annot.errors import SettingsError
-from symsol_annot.rendering.engines import DEFAULT_ENGINE, engine_named
+from symsol_annot.rendering.engines import DEFAULT_ENGINE, engine_named, engines_with_depth
 
 SAMPLES_PER_AXIS = (2, 4, 6, 8)  # even, and sums of their squares fit 16 bits
+
+_ONLY_IF_SET = "depth"
 
 
 @dataclass(frozen=True)
@@ -26,10 +28,11 @@ class RenderSettings:
         background_colour: linear RGB.
         ambient: light on every surface, from 0 to 1.
         diffuse: light on a surface that faces the camera, from 0 to 1.
+        depth: whether views have the depth at each pixel's centre.
 
     Raises:
-        SettingsError: an engine that does not exist, a lattice without a point at a pixel's centre, or a colour or a
-            light that is none.
+        SettingsError: an engine that does not exist or has no depth, a lattice without a point at a pixel's centre, or
+            a colour or a light that is none.
     """
 
     engine: str = DEFAULT_ENGINE
@@ -39,9 +42,16 @@ class RenderSettings:
     background_colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
     ambient: float = 0.04
     diffuse: float = 0.96
+    depth: bool = False
 
     def __post_init__(self) -> None:
-        engine_named(self.engine)
+        engine = engine_named(self.engine)
+        if type(self.depth) is not bool:
+            raise SettingsError(f"depth: expected true or false, found {self.depth!r}")
+        if self.depth and not engine.has_depth:
+            raise SettingsError(
+                f"depth: the engine {self.engine} does not tell it; {', '.join(engines_with_depth())} does"
+            )
         if type(self.samples_per_axis) is not int or self.samples_per_axis not in SAMPLES_PER_AXIS:
             raise SettingsError(f"samples_per_axis: expected 2, 4, 6 or 8, found {self.samples_per_axis!r}")
         for name in ("body_colour", "marking_colour", "background_colour"):
@@ -65,14 +75,17 @@ class RenderSettings:
             SettingsError: a setting has a value that makes no sense.
             TypeError: they are no table of all the settings.
         """
-        if type(data) is not dict or set(data) != {field.name for field in fields(cls)}:
+        if type(data) is not dict or {*data, _ONLY_IF_SET} != {field.name for field in fields(cls)}:
             raise TypeError(f"expected a table of the render settings, found {type(data).__name__}")
         values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in data.items()}
         return cls(**values)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON data."""
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+        """Return the settings as JSON data; `depth` stands there only where it is asked for."""
+        data = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+        if not self.depth:
+            del data[_ONLY_IF_SET]
+        return data
 
 
 def _is_light(value: Any) -> bool:

@@ -144,7 +144,7 @@ def test_a_set_is_the_same_from_any_of_its_members():
         assert all(same_rotations(symmetry_set(spec, member, renderer), members) for member in members)
 
 
-def open_renderer(name, size=224, engine="workbench"):
+def open_renderer(name, size=224, engine="opengl"):
     return RenderProcess(load_object(name), Camera.filling(size), RenderSettings(engine))
 
 
@@ -199,14 +199,14 @@ def test_a_hidden_discs_set_is_an_arc_on_each_of_two_circles_the_same_from_its_m
 
 @pytest.mark.blender
 @pytest.mark.parametrize(("name", "views", "size"), [("tetX", 10, 96), ("cylO", 3, 64)])
-def test_cycles_and_workbench_give_the_same_sets_outside_the_band(name, views, size):
+def test_cycles_and_opengl_give_the_same_sets_outside_the_band(name, views, size):
     spec = load_object(name)
     hidden = 0
-    with open_renderer(name, size) as workbench, open_renderer(name, size, "cycles") as cycles:
+    with open_renderer(name, size) as opengl, open_renderer(name, size, "cycles") as cycles:
         for R in rotations(views, seed=6):
-            pixels = [pixels_of(spec, R, renderer) for renderer in (workbench, cycles)]
-            found = [Annotator(spec, r).annotate(R, p) for p, r in zip(pixels, (workbench, cycles), strict=True)]
-            hidden += not Annotator(spec, workbench).is_shown(pixels[0])
+            pixels = [pixels_of(spec, R, renderer) for renderer in (opengl, cycles)]
+            found = [Annotator(spec, r).annotate(R, p) for p, r in zip(pixels, (opengl, cycles), strict=True)]
+            hidden += not Annotator(spec, opengl).is_shown(pixels[0])
             drawn = np.stack([annotation.candidate_px for annotation in found])
             low, high = (4.0, 6.0) if name == "tetX" else (0.25, 0.5)  # a pixel about T; a sample or two of disc
             in_band = ((drawn >= low) & (drawn <= high)).any(axis=0)

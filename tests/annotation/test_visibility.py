@@ -21,7 +21,7 @@ from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 SIZE = 48
 
 
-def visibility(name, size=SIZE, engine="workbench"):
+def visibility(name, size=SIZE, engine="opengl"):
     return MarkingVisibility(load_object(name).mesh, Camera.filling(size), RenderSettings(engine))
 
 
@@ -150,11 +150,11 @@ def test_a_body_that_is_not_convex_is_annotated_by_drawing(monkeypatch):
 
 
 @pytest.mark.blender
-@pytest.mark.parametrize("engine", ["workbench", "cycles"])
+@pytest.mark.parametrize("engine", ["opengl", "workbench", "cycles"])
 @pytest.mark.parametrize("name", ["tetX", "cylO"])
 def test_what_blender_counts_lies_between_the_bounds_near_grazing(name, engine):
     spec, camera, settings = load_object(name), Camera.filling(224), RenderSettings(engine)
-    rotations = grazing(name, 150 if engine == "workbench" else 30, seed=4, within_deg=3)
+    rotations = grazing(name, 30 if engine == "cycles" else 150, seed=4, within_deg=3)
     with RenderProcess(spec, camera, settings) as renderer:
         counts = renderer.marking_pixels(rotations) * settings.points_per_pixel
     lower, upper = MarkingVisibility(spec.mesh, camera, settings).bounds(rotations, 10**9)

@@ -159,7 +159,7 @@ def test_info_gives_the_numbers_that_h5py_counts(tetX_set):
     shown = int((pixels >= 5).sum())
     assert 0 < shown < 40
     for line in (
-        "images       32x32, engine workbench, seed 0",
+        "images       32x32, engine opengl, seed 0",
         f"fingerprint  {json.loads((tetX_set / 'manifest.json').read_text())['fingerprint']}",
         "train: 5 images, 1 of 1 shards",
         "  without symmetry sets",

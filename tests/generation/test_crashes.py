@@ -26,22 +26,22 @@ from dataclasses import replace
 if "symsol_annot.generation.process" in sys.orig_argv:
     import symsol_annot.rendering.supersampling as frames
 
-    views, view_of = 0, frames.view_of
+    views, pixel_averages = 0, frames.pixel_averages
     try:
         os.close(os.open({flag!r}, os.O_CREAT | os.O_EXCL))
         is_damaged = True
     except FileExistsError:
         is_damaged = False
 
-    def damaged_view_of(samples, ids, n):
+    def damaged_averages(colours, n):
         global views
         views += 1
-        view = view_of(samples, ids, n)
+        rgb = pixel_averages(colours, n)
         if is_damaged and views > {good_views}:
-            view.rgb[0, 0, 0] ^= 1
-        return view
+            rgb[0, 0, 0] ^= 1
+        return rgb
 
-    frames.view_of = damaged_view_of
+    frames.pixel_averages = damaged_averages
 """
 
 

@@ -28,7 +28,7 @@ OTHER_PLANS = {
     "test images": (small_plan(test=65), ["test images: there 64, asked for 65"]),
     "train images": (small_plan(train=1), ["train images: there 0, asked for 1"]),
     "annotate": (small_plan(annotate="all"), ["annotate: there 'test', asked for 'all'"]),
-    "engine": (replace(small_plan(), settings=RenderSettings("cycles")), ["render", "workbench", "cycles"]),
+    "engine": (replace(small_plan(), settings=RenderSettings("cycles")), ["render", "opengl", "cycles"]),
     "object": (small_plan("tetX"), ["object: there 'tet', asked for 'tetX'"]),
     "object's files": (
         replace(small_plan(), spec=replace(small_plan().spec, digest="0" * 64)),

@@ -38,15 +38,15 @@ FAULTS = {
         "house/test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
     ),
     "object turned the other way": (
-        "symsol_annot/rendering/blender.py",
-        "rotation_to_quat_wxyz(R_m2c)",
-        "rotation_to_quat_wxyz(R_m2c.T)",
+        "symsol_annot/rendering/projection.py",
+        "vertices @ np.swapaxes(R_m2c, -1, -2)",
+        "vertices @ R_m2c",
         CAST,
     ),
     "camera the wrong way up": (
-        "symsol_annot/rendering/blender.py",
-        "stand.rotation_quaternion = (0.0, 1.0, 0.0, 0.0)",
-        "stand.rotation_quaternion = (0.0, 0.0, 1.0, 0.0)",
+        "symsol_annot/rendering/camera.py",
+        "self.focal_px * points[..., :2] / depth",
+        "-self.focal_px * points[..., :2] / depth",
         CAST,
     ),
     "wrong flip axis": (
@@ -62,9 +62,9 @@ FAULTS = {
         "house/test_planted_faults.py::test_groups_have_their_orders_without_duplicates",
     ),
     "no back-face culling": (
-        "symsol_annot/rendering/engines.py",
-        '"display.shading.show_backface_culling": True',
-        '"display.shading.show_backface_culling": False',
+        "symsol_annot/rendering/blender/opengl.py",
+        'face_culling_set("FRONT")',
+        'face_culling_set("NONE")',
         "rendering/test_blender.py::test_hidden_faces_draw_no_pixel",
     ),
     "candidates of shown views kept": (
@@ -97,11 +97,17 @@ FAULTS = {
         "np.sqrt(2.0)) - 1.0",
         "annotation/test_visibility.py::test_however_vertices_are_moved_the_count_lies_between_the_bounds[0.1-tetX]",
     ),
-    "edge-on triangles shaded": (
-        "symsol_annot/rendering/shading.py",
-        "_THIN = 0.25",
-        "_THIN = 0.0",
-        "rendering/test_blender.py::test_triangles_seen_edge_on_keep_their_colour",
+    "vertices left to the device's rounding": (
+        "symsol_annot/rendering/projection.py",
+        "SUBPIXELS = 256",
+        "SUBPIXELS = 1 << 20",
+        "rendering/test_opengl.py::test_the_points_of_each_part_are_those_of_integer_arithmetic[cylO]",
+    ),
+    "normals not divided by depth": (
+        "symsol_annot/rendering/blender/opengl.py",
+        "turned = normal * corner.w;",
+        "turned = normal;",
+        "rendering/test_opengl.py::test_a_round_side_is_lit_as_its_surface_is_turned",
     ),
     "samples beside the pixels' centres": (
         "symsol_annot/rendering/supersampling.py",

@@ -34,7 +34,7 @@ def flipped(array):
 KINDS_OF_DAMAGE = {
     "picture": lambda view: replace(view, rgb=flipped(view.rgb)),
     "segmentation": lambda view: replace(view, segmentation=flipped(view.segmentation)),
-    "area": lambda view: replace(view, marking_pixels=view.marking_pixels + 0.25),
+    "area": lambda view: replace(view, part_pixels=view.part_pixels + 0.25),
     "size": lambda view: replace(view, rgb=view.rgb[:, :-1], segmentation=view.segmentation[:, :-1]),
     "type": lambda view: replace(view, segmentation=view.segmentation.astype(np.int8)),
 }

@@ -62,7 +62,7 @@ def test_a_machine_that_lacks_nothing_gets_no_remedy(tmp_path):
     assert all(found.is_good for found in findings)
     assert not any(found.remedy for found in findings)
     whats = [found.what for found in findings]
-    assert whats == ["Python", "system libraries", "disk space", "engine workbench", "engine cycles"]
+    assert whats == ["Python", "system libraries", "disk space", "engine opengl", "engine workbench", "engine cycles"]
 
 
 @pytest.mark.parametrize(("user", "sudo"), [(0, ""), (1000, "sudo ")])

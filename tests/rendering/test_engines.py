@@ -65,7 +65,7 @@ def test_an_engine_added_to_the_table_draws_and_is_known_everywhere():
         [sys.executable, "-c", ADD_AN_ENGINE], env=environment, capture_output=True, text=True, timeout=300, check=True
     )
     found = json.loads(done.stdout)
-    assert found["tried"] == ["workbench", "cycles", "twin"]
+    assert found["tried"] == ["opengl", "workbench", "cycles", "twin"]
     assert found["choices"] == [*ENGINES, "twin"]
     assert 0.25 <= found["shift"] < 0.251
     assert found["is_alike"]
@@ -93,7 +93,7 @@ def test_every_engine_has_a_margin_below_half_a_lattice_point_and_stands_in_the_
 @pytest.mark.parametrize("name", ["povray", "Workbench", "", None, 1, [], {}])
 def test_an_unknown_engine_is_refused_with_the_ones_there_are(name):
     for refuse in (engine_named, RenderSettings):
-        with pytest.raises(SettingsError, match="expected one of workbench, cycles, eevee, found"):
+        with pytest.raises(SettingsError, match="expected one of opengl, workbench, cycles, eevee, found"):
             refuse(name)
 
 

@@ -41,7 +41,7 @@ renderer.marking_pixels(np.tile(np.eye(3), ({MINUTES_OF_COUNTS}, 1, 1)))
 """
 
 
-def open_renderer(name="tetX", size=SIZE, engine="workbench"):
+def open_renderer(name="tetX", size=SIZE, engine="opengl"):
     return RenderProcess(load_object(name), Camera.filling(size), RenderSettings(engine))
 
 

@@ -43,7 +43,7 @@ SETTINGS = RenderedSettings(
     tolerance_px=TOLERANCE_PX,
     annotate="all",
 )
-VIEW = View(np.zeros((16, 16, 3), "u1"), np.ones((16, 16), "u1"), 0.0)
+VIEW = View(np.zeros((16, 16, 3), "u1"), np.ones((16, 16), "u1"), np.array([256.0, 0.0]))
 REMARK = "differs from a member by one that maps the marking onto itself"
 
 

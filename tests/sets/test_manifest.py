@@ -157,7 +157,7 @@ def test_each_difference_between_plans_is_named_with_both_values(change, line):
 def test_another_engine_is_named():
     there = replace(make_plan(), settings=RenderSettings("cycles")).manifest()
     (found,) = make_plan().manifest().differences(there)
-    assert re.fullmatch("render: there {'engine': 'cycles'.*}, asked for {'engine': 'workbench'.*}", found)
+    assert re.fullmatch("render: there {'engine': 'cycles'.*}, asked for {'engine': 'opengl'.*}", found)
 
 
 def test_another_object_and_another_version_of_it_are_named():

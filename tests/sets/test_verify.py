@@ -290,7 +290,7 @@ HEADER_CHANGES = {
     "split": "train",
     "first_index": 17,
     "camera": '{"distance": 4.0, "focal_px": 99.0, "height": 32, "width": 32}',
-    "render": '{"engine": "workbench"}',
+    "render": '{"engine": "opengl"}',
     "engine": "cycles",
     "tolerance_px": 1e9,
 }

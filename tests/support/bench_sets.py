@@ -41,7 +41,7 @@ class DiscRenderer(NumpyRenderer):
         self._focal_px = FILLED / 2 * size / np.tan(np.arcsin(1 / CAMERA_DISTANCE))
 
     def render(self, R_m2c):
-        return replace(super().render(R_m2c), marking_pixels=float(self.marking_pixels(R_m2c[None])[0]))
+        return replace(super().render(R_m2c), part_pixels=np.array([100.0, *self.marking_pixels(R_m2c[None])]))
 
     def marking_pixels(self, R_m2c):
         rays = self._points @ R_m2c.transpose(0, 2, 1) + [0, 0, CAMERA_DISTANCE]

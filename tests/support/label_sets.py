@@ -20,8 +20,8 @@ class LabelRenderer:
         self.versions = {"renderer": "labels"}
 
     def render(self, R_m2c):
-        pixels = float(self.marking_pixels(R_m2c[None])[0])
-        return View(np.zeros((SIZE, SIZE, 3), dtype=np.uint8), np.zeros((SIZE, SIZE), dtype=np.uint8), pixels)
+        parts = np.array([100.0, *self.marking_pixels(R_m2c[None])][: 1 + (self._normal is not None)])
+        return View(np.zeros((SIZE, SIZE, 3), dtype=np.uint8), np.zeros((SIZE, SIZE), dtype=np.uint8), parts)
 
     def marking_pixels(self, R_m2c):
         if self._normal is None:

@@ -52,7 +52,7 @@ def records(annotated=True):
             view=View(
                 rng.integers(256, size=(HEIGHT, WIDTH, 3), dtype=np.uint8),
                 rng.integers(3, size=(HEIGHT, WIDTH), dtype=np.uint8),
-                0.0,
+                np.array([4.0, 0.0]),
             ),
             R_m2c=rng.standard_normal((3, 3)),
             coset_px=float(np.float32(rng.random())),

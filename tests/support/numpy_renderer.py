@@ -3,7 +3,9 @@
 import numpy as np
 from oracle import cast, cast_samples
 
-from symsol_annot.rendering.renderer import View
+from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.renderer import LabelWindow, View
+from symsol_annot.rendering.windows import Window
 
 COLOURS = np.array([[255, 255, 255], [180, 200, 230], [230, 90, 40]], dtype=np.uint8)
 # Of the 3x3 samples of a pixel, those on its corners are shared by four, those on its edges by two.
@@ -27,12 +29,18 @@ class NumpyRenderer:
         rgb = np.zeros((self.size, self.size, 3), int)
         for (row, column), weight in WEIGHTS.items():
             rgb += weight * samples[row:, column:][: 2 * self.size : 2, : 2 * self.size : 2]
-        marking_pixels = np.count_nonzero(ids == 2) / 4
-        return View(((rgb + 8) // 16).astype(np.uint8), cast(self.name, R_m2c, self.size), marking_pixels)
+        part_pixels = np.array(
+            [np.count_nonzero(ids == part) / 4 for part in (1, 2)[: load_object(self.name).mesh.parts]]
+        )
+        return View(((rgb + 8) // 16).astype(np.uint8), cast(self.name, R_m2c, self.size), part_pixels)
 
     def marking_pixels(self, R_m2c):
         counts = [np.count_nonzero(cast_samples(self.name, R, self.size) == 2) for R in R_m2c]
         return np.array(counts, dtype=float) / 4
+
+    def label_windows(self, R_m2c):
+        side = 2 * self.size + 1
+        return [LabelWindow(Window(0, 0, side, side), cast_samples(self.name, R, self.size)) for R in R_m2c]
 
     def close(self):
         self.is_closed = True

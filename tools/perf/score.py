@@ -49,8 +49,8 @@ class FacingRenderer:
         self._camera = np.array([0, 0, -camera.distance])
 
     def render(self, R_m2c):
-        pixels = float(self.marking_pixels(R_m2c[None])[0])
-        return View(np.zeros((SIZE, SIZE, 3), np.uint8), np.zeros((SIZE, SIZE), np.uint8), pixels)
+        parts = np.array([100.0, *self.marking_pixels(R_m2c[None])])
+        return View(np.zeros((SIZE, SIZE, 3), np.uint8), np.zeros((SIZE, SIZE), np.uint8), parts)
 
     def marking_pixels(self, R_m2c):
         return 100.0 * (((self._camera - R_m2c @ self._middle) * (R_m2c @ self._normal)).sum(axis=1) > 0)

@@ -80,24 +80,24 @@ def freed():
 
 
 def mesh():
-    import bpy
+    import gc
 
-    for vertex in bpy.data.meshes["object"].vertices:
-        vertex.co.x += 0.02
-
-
-drawn, view_of = 0, frames.view_of
+    (renderer,) = [found for found in gc.get_objects() if type(found).__name__ == "OpenGLRenderer"]
+    renderer._mesh.vertices[:, 0] += 0.02
 
 
-def view_of_a_damaged_process(*arguments):
+drawn, pixel_averages = 0, frames.pixel_averages
+
+
+def averages_of_a_damaged_process(*arguments):
     global drawn
     drawn += 1
     if drawn == {at}:
         {kind}()
-    return view_of(*arguments)
+    return pixel_averages(*arguments)
 
 
-frames.view_of = view_of_a_damaged_process
+frames.pixel_averages = averages_of_a_damaged_process
 """
 
 

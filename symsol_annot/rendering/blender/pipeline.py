@@ -1,14 +1,12 @@
-"""The renderer on Blender's Python module: the only file that imports bpy.
+"""The engines of Blender's render pipeline: workbench, cycles and eevee.
 
-Use it through `render_process.RenderProcess`: Blender writes to the terminal past Python, can take the
-whole process down, and is not thread-safe, so it lives in a process of its own.
+A frame is drawn twice: once in its colours, and once in one grey per part, which tells what was hit.
 """
 
 import os
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, assert_never
+from typing import Any
 
 import bpy
 import numpy as np
@@ -17,13 +15,17 @@ from PIL.SgiImagePlugin import SgiImageFile
 
 from symsol_annot.errors import RenderError
 from symsol_annot.objects.mesh import Mesh
+from symsol_annot.rendering.blender import device
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import Drawing, Engine, engine_named
-from symsol_annot.rendering.renderer import MARKING, Scene, View
-from symsol_annot.rendering.shading import ColourIds, CornerLight
-from symsol_annot.rendering.supersampling import view_of
+from symsol_annot.rendering.renderer import MARKING, LabelWindow, Scene, View
+from symsol_annot.rendering.shading import CornerLight, linear, srgb_bytes
+from symsol_annot.rendering.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
+from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations, rotation_to_quat_wxyz
 from symsol_annot.system.closing import Closing
+
+Bytes = npt.NDArray[np.uint8]
 
 _COLOURS = "colours"  # the mesh's attribute
 _SENSOR_WIDTH = 36.0
@@ -31,36 +33,31 @@ _CLIP_MARGIN = 1.5  # bounding-sphere radii in front of and behind the object's 
 _WINDOW_STEP = 8  # sides of windows are multiples of this many pixels: few sizes, few reallocations
 
 
-class BlenderRenderer(Closing):
-    """Draws one scene in this process, which it takes over: one at a time."""
+class PipelineRenderer(Closing):
+    """Draws one scene in this process, which it takes over."""
 
     def __init__(self, scene: Scene) -> None:
         mesh, settings, self._camera = scene.mesh, scene.settings, scene.camera
-        self._engine = engine_named(settings.engine)
-        self._vertices, self._marking_vertices = mesh.vertices, mesh.marking_vertices
+        self._engine, self._mesh = engine_named(settings.engine), mesh
         self._n, self._points_per_pixel = settings.samples_per_axis, settings.points_per_pixel
         self._lattice = self._camera.lattice(self._n)
-        self._ids = ColourIds(settings)
-        self._blank = np.full((self._lattice.height, self._lattice.width, 3), self._ids.background)
+        self._background_colour = settings.background_colour
+        self._background = srgb_bytes(np.array(settings.background_colour))
         self._frame = _FrameFile()
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self._blender_scene = bpy.context.scene
-        self._light = CornerLight(mesh, self._lattice, settings)
+        self._light = CornerLight(mesh, scene.part_colours, self._lattice, settings)
+        self._greys = _greys(mesh)
         self._object = _add_object(self._blender_scene, mesh)
         self._blender_camera = _add_camera(self._blender_scene, self._camera)
         _set_up_output(self._blender_scene, self._frame.path)
-        _set_up_engine(self._blender_scene, self._object.data, self._engine, settings.background_colour)
+        _set_up_engine(self._blender_scene, self._object.data, self._engine)
         self.render(np.eye(3))  # opens the graphics device: it fails here or not at all
 
     @property
     def versions(self) -> dict[str, str]:
         """Blender, and the OpenGL it draws with."""
-        found = {"bpy": bpy.app.version_string}
-        if self._engine.needs_opengl:
-            import gpu  # knows the device once something was drawn
-
-            found["opengl"] = f"{gpu.platform.renderer_get()}; {gpu.platform.version_get()}"
-        return found
+        return device.versions(self._engine)
 
     def render(self, R_m2c: Rotations) -> View:
         """Draw the window that the object spans, and make a view of it.
@@ -68,98 +65,86 @@ class BlenderRenderer(Closing):
         Where the marking is counted in a window of its own, that window is drawn into it: a vertex can round to
         another sub-pixel there, and then a lattice point would differ between picture and count.
         """
-        self._turn(R_m2c)
+        self._object.rotation_quaternion = rotation_to_quat_wxyz(R_m2c)
         whole, counted = self._windows(R_m2c)
-        frame = self._blank.copy()
-        for window in dict.fromkeys((whole, counted)):  # once, where they are one
-            frame[window.lattice_points(self._n)] = self._draw(window)
-        drawn = frame[whole.lattice_points(self._n)]
-        ids = self._ids.of(drawn)
-        if not ids.any():
-            raise RenderError("a frame came back empty: the object is not in it")
-        view = view_of(drawn, ids, self._n)
-        rgb = self._blank[: self._camera.height, : self._camera.width].copy()
+        colours = self._frame_of((whole, counted), self._light.colours(R_m2c), self._background_colour)
+        ids = self._frame_of((whole, counted), self._greys, (0.0, 0.0, 0.0))[..., 0]
+        part_pixels = part_pixels_of(ids, self._n, self._mesh.parts)
+        rgb = np.full((self._camera.height, self._camera.width, 3), self._background)
         segmentation = np.zeros(rgb.shape[:2], np.uint8)
-        rgb[whole.pixels], segmentation[whole.pixels] = view.rgb, view.segmentation
-        return View(rgb, segmentation, view.marking_pixels)
+        rgb[whole.slices] = pixel_averages(lanes_of(colours), self._n)
+        segmentation[whole.slices] = segmentation_of(ids, self._n)
+        return View(rgb, segmentation, part_pixels)
 
     def marking_pixels(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
         """Count the lattice points on the marking, under each rotation in the window that its vertices span."""
-        counts = [self._points_on_marking(R) for R in R_m2c]
+        if not len(self._mesh.marking_vertices):
+            return np.zeros(len(R_m2c))
+        counts = [np.count_nonzero(labels.ids >= MARKING) for labels in self.label_windows(R_m2c)]
         return np.array(counts, dtype=np.float64) / self._points_per_pixel
 
-    def _points_on_marking(self, R_m2c: Rotations) -> int:
-        if not len(self._marking_vertices):
-            return 0
-        self._turn(R_m2c)
-        _, counted = self._windows(R_m2c)
-        return int(np.count_nonzero(self._ids.of(self._draw(counted)) == MARKING))
-
-    def _windows(self, R_m2c: Rotations) -> tuple["_Window", "_Window"]:
-        """Return the window of the whole object, and that of its marking, seen or not, unless it is hardly smaller."""
-        whole = self._window_of(self._vertices @ R_m2c.T)
-        if not len(self._marking_vertices):
-            return whole, whole
-        marking = self._window_of(self._marking_vertices @ R_m2c.T)
-        return whole, marking if 2 * marking.area <= whole.area else whole
-
-    def _window_of(self, points: npt.NDArray[np.float64]) -> "_Window":
-        """Return the window (in steps of whole pixels) that holds world points (k, 3), with a pixel around them."""
-        corners = self._camera.project(points)
-        low, high = np.floor(corners.min(axis=0)) - 1, np.ceil(corners.max(axis=0)) + 1
-        size = np.array([self._camera.width, self._camera.height])
-        sides = np.minimum(np.ceil((high - low) / _WINDOW_STEP) * _WINDOW_STEP, size)
-        left, top = np.clip(low, 0, size - sides).astype(int).tolist()
-        return _Window(left, top, *sides.astype(int).tolist())
+    def label_windows(self, R_m2c: Rotations) -> list[LabelWindow]:
+        """Return what lies around the marking under each rotation."""
+        if not len(self._mesh.marking_vertices):
+            raise RenderError("an object without a marking has nothing to compare")
+        self._paint(self._greys, (0.0, 0.0, 0.0))
+        found = []
+        for R in R_m2c:
+            self._object.rotation_quaternion = rotation_to_quat_wxyz(R)
+            _, counted = self._windows(R)
+            found.append(LabelWindow(counted.lattice(self._n), self._draw(counted)[..., 0]))
+        return found
 
     def close(self) -> None:
         """Let go of the frame's file."""
         self._frame.close()
 
-    def _turn(self, R_m2c: Rotations) -> None:
-        """Turn the object, and give its corners the colours that they have in the camera's light."""
-        self._object.rotation_quaternion = rotation_to_quat_wxyz(R_m2c)
-        self._object.data.color_attributes[_COLOURS].data.foreach_set("color", self._light.colours(R_m2c).reshape(-1))
-        self._object.data.update_tag()
+    def _windows(self, R_m2c: Rotations) -> tuple[Window, Window]:
+        """Return the window of the whole object, and that of its marking, seen or not, unless it is hardly smaller."""
+        whole = self._window_of(self._mesh.vertices @ R_m2c.T)
+        if not len(self._mesh.marking_vertices):
+            return whole, whole
+        marking = self._window_of(self._mesh.marking_vertices @ R_m2c.T)
+        return whole, marking if 2 * marking.area <= whole.area else whole
 
-    def _draw(self, window: "_Window") -> npt.NDArray[np.uint8]:
+    def _window_of(self, points: npt.NDArray[np.float64]) -> Window:
+        """Return the window of pixels that holds world points (k, 3)."""
+        camera = self._camera
+        return Window.around(camera.project(points), camera.width, camera.height, step=_WINDOW_STEP)
+
+    def _frame_of(
+        self, windows: tuple[Window, Window], colours: npt.NDArray[np.float32], background: tuple[float, float, float]
+    ) -> Bytes:
+        """Return the first window in such colours (T, 3, 4) of corners, with the second drawn into it anew."""
+        self._paint(colours, background)
+        frame = np.zeros((self._lattice.height, self._lattice.width, 3), np.uint8)
+        for window in dict.fromkeys(windows):  # once, where they are one
+            frame[window.lattice(self._n).slices] = self._draw(window)
+        return frame[windows[0].lattice(self._n).slices]
+
+    def _paint(self, colours: npt.NDArray[np.float32], background: tuple[float, float, float]) -> None:
+        """Give the mesh's corners linear colours (T, 3, 4), and the world its own."""
+        self._object.data.color_attributes[_COLOURS].data.foreach_set("color", colours.reshape(-1))
+        self._object.data.update_tag()
+        world = self._blender_scene.world
+        world.color = background
+        if world.use_nodes:
+            world.node_tree.nodes["Background"].inputs["Color"].default_value = (*background, 1.0)
+
+    def _draw(self, window: Window) -> Bytes:
         """Return the colours of a window's lattice points: (n height + 1, n width + 1, 3) u8 in sRGB.
 
         Blender's own border rendering draws the whole frame first; a shifted lens draws the window alone.
         """
-        rows, columns = window.lattice_points(self._n)
-        width, height = columns.stop - columns.start, rows.stop - rows.start
-        longest = max(width, height)
+        points = window.lattice(self._n)
+        longest = max(points.width, points.height)
         self._blender_camera.lens = self._lattice.focal_px * _SENSOR_WIDTH / longest
-        self._blender_camera.shift_x = (columns.start + width / 2 - self._lattice.width / 2) / longest
-        self._blender_camera.shift_y = -(rows.start + height / 2 - self._lattice.height / 2) / longest
-        self._blender_scene.render.resolution_x, self._blender_scene.render.resolution_y = width, height
+        self._blender_camera.shift_x = (points.left + points.width / 2 - self._lattice.width / 2) / longest
+        self._blender_camera.shift_y = -(points.top + points.height / 2 - self._lattice.height / 2) / longest
+        render = self._blender_scene.render
+        render.resolution_x, render.resolution_y = points.width, points.height
         bpy.ops.render.render(write_still=True)
-        return self._frame.read(width, height)
-
-
-@dataclass(frozen=True)
-class _Window:
-    """A rectangle of pixels; top and left counted from the image's upper left corner."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-    @property
-    def area(self) -> int:
-        return self.width * self.height
-
-    @property
-    def pixels(self) -> tuple[slice, slice]:
-        """Its rows and columns in the image."""
-        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
-
-    def lattice_points(self, n: int) -> tuple[slice, slice]:
-        """Its rows and columns in the lattice of n points per axis of a pixel, edges included."""
-        rows, columns = self.pixels
-        return slice(n * rows.start, n * rows.stop + 1), slice(n * columns.start, n * columns.stop + 1)
+        return self._frame.read(points.width, points.height)
 
 
 class _FrameFile:
@@ -178,7 +163,7 @@ class _FrameFile:
         """Return the frame just written as (height, width, 3) u8."""
         try:
             with Path(self.path).open("rb") as file, SgiImageFile(file) as image:
-                frame = np.asarray(image)
+                frame = np.array(image)
         except (OSError, SyntaxError) as error:  # Pillow's word for another format
             raise RenderError(f"Blender wrote no frame that can be read: {error}") from None
         if frame.shape != (height, width, 3):
@@ -229,22 +214,22 @@ def _set_up_output(scene: Any, path: str) -> None:
     scene.world = bpy.data.worlds.new("world")
 
 
-def _set_up_engine(scene: Any, data: Any, engine: Engine, background_colour: tuple[float, float, float]) -> None:
+def _set_up_engine(scene: Any, data: Any, engine: Engine) -> None:
     """Choose the engine, and let it show the corners' colours: back faces culled, one colour for each lattice point."""
     scene.render.engine = engine.blender_name
     for path, value in engine.scene_settings.items():
         owner, _, attribute = path.rpartition(".")
         setattr(attrgetter(owner)(scene), attribute, value)
-    match engine.drawing:
-        case Drawing.VERTEX_COLOURS:
-            scene.world.color = background_colour
-        case Drawing.EMISSION:
-            scene.world.use_nodes = True
-            background = scene.world.node_tree.nodes["Background"].inputs["Color"]
-            background.default_value = (*background_colour, 1.0)
-            data.materials.append(_emitter())
-        case _:
-            assert_never(engine.drawing)
+    if engine.drawing is Drawing.EMISSION:
+        scene.world.use_nodes = True
+        data.materials.append(_emitter())
+
+
+def _greys(mesh: Mesh) -> npt.NDArray[np.float32]:
+    """Return the colours (T, 3, 4) of corners in which each part's grey, in sRGB, is its id of 255."""
+    greys = np.ones((len(mesh.triangles), 3, 4), np.float32)
+    greys[..., :3] = linear(mesh.part_ids / 255.0)[:, None, None]
+    return greys
 
 
 def _emitter() -> Any:
