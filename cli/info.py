@@ -8,6 +8,7 @@ from symsol_annot_cli.terminal import say
 
 from symsol_annot.sets.manifest import read_manifest
 from symsol_annot.sets.settings import ImportedSettings, RenderedSettings
+from symsol_annot.sets.shard.layout import NEWEST
 from symsol_annot.sets.statistics import SplitStatistics, sizes_in_words, split_statistics
 from symsol_annot.system.text.names import SPLITS
 
@@ -21,6 +22,8 @@ def info(folder: Path) -> None:
         _print_source(manifest.imported)
     else:
         _print_drawing(manifest.rendered)
+    older = "" if manifest.format_version == NEWEST else f", which is read for good; {NEWEST} is what is written today"
+    say(f"format       version {manifest.format_version}{older}")
     say(f"fingerprint  {manifest.fingerprint or 'none yet: the set is not finished'}")
     say("             of the whole set, to name it by; predictions carry that of their split, below")
     for split in SPLITS:
@@ -37,6 +40,7 @@ def _print_drawing(settings: RenderedSettings) -> None:
     camera = settings.camera
     say(f"object       {settings.object} ({settings.object_sha256[:16]})")
     say(f"images       {camera.width}x{camera.height}, engine {settings.render.engine}, seed {settings.seed}")
+    say(f"maps         segmentation into {', '.join(settings.parts)}; {'depth' if settings.has_depth else 'no depth'}")
     say(f"camera       distance {camera.distance:g}, focal length {camera.focal_px:.2f} px")
 
 

@@ -110,6 +110,9 @@ _MIB = 2**20
     show_default=True,
     help="A worker process that gives no sign of life for this long is ended, and its shard is begun again.",
 )
+@click.option(
+    "--depth", is_flag=True, help="Store each image's depth map, too, which the engine opengl tells; shards get larger."
+)
 @click.option("--repair", is_flag=True, help="Make damaged or missing shards again, and replace foreign ones.")
 @click.option(
     "--log-format",
@@ -136,6 +139,7 @@ def render(
     time_limit: float,
     log_format: str,
     *,
+    depth: bool,
     repair: bool,
 ) -> None:
     """Make an object's image set: RGB, segmentation and symmetry sets, in HDF5 shards.
@@ -146,7 +150,8 @@ def render(
         raise click.UsageError("--train and --test are both 0, which makes no set; --train 0 alone is fine")
     limits = Limits(worker_frames, worker_memory * _MIB, time_limit)
     open_executor = _executor(workers, cluster, scheduler_file, limits, exhaustive=annotate_method == "exhaustive")
-    plan = SetPlan(spec, {"train": train, "test": test}, seed, Camera.filling(size), RenderSettings(engine), annotate)
+    settings = RenderSettings(engine, depth=depth)
+    plan = SetPlan(spec, {"train": train, "test": test}, seed, Camera.filling(size), settings, annotate)
     folder = out / spec.name
     with reporter(log_format, spec.name) as report:
         try:

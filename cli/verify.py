@@ -20,7 +20,7 @@ from symsol_annot.rendering.blender_process import check_blender_installed
 from symsol_annot.rendering.render_process import RenderProcess
 from symsol_annot.sets import dataset
 from symsol_annot.sets.folders import set_folders
-from symsol_annot.sets.manifest import read_manifest
+from symsol_annot.sets.manifest import read_manifest, refuse_to_add
 from symsol_annot.sets.verify import verify as find_faults
 from symsol_annot.system.machine import cores
 
@@ -74,6 +74,7 @@ def _verify_set(folder: Path) -> list[str]:
 
 def _repair_set(folder: Path, given: ObjectSpec | None) -> None:
     manifest = read_manifest(folder)
+    refuse_to_add(folder, manifest)
     damaged = {entry.file for entry in damaged_shards(folder, manifest)}
     todo = [entry.file for entry in manifest.shards if not entry.is_finished or entry.file in damaged]
     if not todo:

@@ -161,11 +161,15 @@ class Unpictured(Closing):
         (lower,), (upper,) = self._visibility.bounds(R_m2c[None], enough)
         is_decided = lower >= enough or upper == 0
         area_px = lower / self._per_pixel if is_decided else self.marking_pixels(R_m2c[None])[0]
-        return View(self._rgb, np.zeros_like(self._rgb[..., 0]), np.array([np.nan, area_px]))
+        return View(self._rgb, np.zeros_like(self._rgb[..., 0]), np.array([0.0, area_px]))
 
     def marking_pixels(self, R_m2c):
         """Return the marking's visible area under each of (n, 3, 3) rotations, as Blender counts it: (n,)."""
         return self._renderer.marking_pixels(R_m2c)
+
+    def label_windows(self, R_m2c):
+        """Return what lies around the marking under each of (n, 3, 3) rotations, as Blender draws it."""
+        return self._renderer.label_windows(R_m2c)
 
     def close(self):
         """End Blender's process."""

@@ -33,7 +33,15 @@ from symsol_annot.generation.events import (
 from symsol_annot.generation.executors import Executor, OpenExecutor
 from symsol_annot.generation.maker import MadeShard
 from symsol_annot.objects.check import check_object
-from symsol_annot.sets.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, shards_in, write_manifest
+from symsol_annot.sets.manifest import (
+    MANIFEST_NAME,
+    Manifest,
+    ShardEntry,
+    read_manifest,
+    refuse_to_add,
+    shards_in,
+    write_manifest,
+)
 from symsol_annot.sets.membership import membership_faults
 from symsol_annot.sets.plan import SetPlan
 from symsol_annot.sets.shard.laws import label_faults
@@ -69,7 +77,7 @@ def generate(
         ObjectError: the object's surface or marking has other symmetries than it declares; nothing was touched.
         DifferentSetError: the folder holds another set, or one begun with other software; nothing was touched.
         DataError: a shard in the folder is damaged or foreign, or made again it is not what the manifest says; that
-            shard was not touched.
+            shard was not touched. Or the folder's set is of an older format, to which nothing is added.
         OutputError: the folder cannot be written to, or another process is making this set.
         RenderError: a worker failed, or a shard lost more than two of them; finished shards are kept.
     """
@@ -108,6 +116,7 @@ def _open_set(plan: SetPlan, folder: Path) -> Manifest:
         foreign = shards_in(folder) if folder.is_dir() else []
     if is_there:
         manifest = read_manifest(folder)
+        refuse_to_add(folder, manifest)
         differences = planned.differences(manifest)
         if differences:
             raise DifferentSetError(str(folder), differences)

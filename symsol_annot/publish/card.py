@@ -36,6 +36,7 @@ def card(about: About, sets: tuple[PublishedSet, ...], figures: Figures) -> str:
         licence_url=LICENCE_URL,
         first=first.name,
         split=split,
+        depth=_depth_in_words(sets),
         **_code_of_sets(first.name, is_annotated=bool(annotated)),
         contents=_contents(sets, figures),
         measured=_measured(sets, figures),
@@ -140,6 +141,17 @@ def _cells(found: SplitFigures) -> list[str]:
         f"{counted.candidates_drawn:,}",
         f"{counted.candidates_within_tolerance:,}",
     ]
+
+
+def _depth_in_words(sets: tuple[PublishedSet, ...]) -> str:
+    """Say which sets have depth maps, and where."""
+    having = [one.name for one in sets if one.manifest.settings.has_depth]
+    if not having:
+        return "No set has depth maps."
+    return (
+        f"Depth maps (`depth`, 32-bit floats) of {', '.join(having)} are in the shards alone: no image format that "
+        "readers of Parquet show holds them to the bit."
+    )
 
 
 def _barely_in_words(figures: Figures) -> str:

@@ -61,10 +61,12 @@ _SAMPLE_FIELDS: dict[str, tuple[str, str | None, str]] = {  # type, shape, descr
     "symmetry_mask": ("sc:Boolean", "-1", "Which elements of the body's symmetry group are in the image's set."),
     "marking_pixels": ("cr:Float32", None, "The marking's visible area in pixels; 0 without a marking."),
     "marking_visible": ("sc:Boolean", None, "Whether that is at least the object's tolerance."),
+    "part_pixels": ("cr:Float32", "-1", "The visible area in pixels of each of the set's parts; null where not known."),
 }
 _GROUP_FIELDS: dict[str, tuple[str, str | None, str]] = {
     "set": ("sc:Text", None, "The set's name."),
     "symmetry_group": ("cr:Float64", "-1,3,3", "The body's symmetries g: the image's set is R_m2c g, g in the mask."),
+    "parts": ("sc:Text", "-1", "The names of the object's parts, in the order of their ids, the first of id 1."),
 }
 
 
@@ -90,7 +92,9 @@ def croissant_json(
             source = {"fileSet": {"@id": files["@id"]}}
             record_sets.append(_record_set(name, f"The {split} images of {published.name}.", source, _SAMPLE_FIELDS))
     source = {"fileObject": {"@id": GROUPS_NAME}}
-    record_sets.append(_record_set(GROUPS_CONFIG, "The symmetry group of each set's body.", source, _GROUP_FIELDS))
+    record_sets.append(
+        _record_set(GROUPS_CONFIG, "The symmetry group of each set's body, and its parts.", source, _GROUP_FIELDS)
+    )
     document = {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",

@@ -1,6 +1,7 @@
 """A set as Parquet, for readers that know no HDF5: one file per shard, images as PNG, labels to the bit.
 
-The schema says in Hugging Face's way which columns are images; to other readers they are PNG files as bytes.
+The schema says in Hugging Face's way which columns are images; to other readers they are PNG files as bytes. Depth maps
+are left to the shards: no image format that such readers show holds 32-bit numbers to the bit.
 """
 
 import io
@@ -18,7 +19,7 @@ from symsol_annot.sets.dataset import Sample
 from symsol_annot.sets.shard.chunks import deflate_version
 from symsol_annot.system.png import to_png
 
-PARQUET_FORMAT_VERSION = 1
+PARQUET_FORMAT_VERSION = 2
 ROWS_PER_GROUP = 100  # what a reader of one image has to fetch: about a megabyte
 _IMAGE = pa.struct({"bytes": pa.binary(), "path": pa.string()})
 _ROTATION = pa.list_(pa.list_(pa.float64()))
@@ -30,8 +31,9 @@ _SAMPLE_COLUMNS = {
     "symmetry_mask": pa.list_(pa.bool_()),
     "marking_pixels": pa.float32(),
     "marking_visible": pa.bool_(),
+    "part_pixels": pa.list_(pa.float32()),
 }
-_GROUP_COLUMNS = {"set": pa.string(), "symmetry_group": pa.list_(_ROTATION)}
+_SET_COLUMNS = {"set": pa.string(), "symmetry_group": pa.list_(_ROTATION), "parts": pa.list_(pa.string())}
 
 
 def samples_to_parquet(samples: Iterable[Sample], source: dict[str, str]) -> bytes:
@@ -43,7 +45,7 @@ def samples_to_parquet(samples: Iterable[Sample], source: dict[str, str]) -> byt
     """
     columns: dict[str, list[Any]] = {name: [] for name in _SAMPLE_COLUMNS}
     for sample in samples:
-        mask = sample.symmetry_mask
+        mask, part_pixels = sample.symmetry_mask, sample.part_pixels
         columns["index"].append(sample.index)
         for name, pixels in (("image", sample.image), ("segmentation", sample.segmentation)):
             columns[name].append(None if pixels is None else {"bytes": to_png(pixels), "path": None})
@@ -51,13 +53,18 @@ def samples_to_parquet(samples: Iterable[Sample], source: dict[str, str]) -> byt
         columns["symmetry_mask"].append(None if mask is None else mask.tolist())
         columns["marking_pixels"].append(np.float32(sample.marking_pixels))
         columns["marking_visible"].append(sample.marking_visible)
+        columns["part_pixels"].append(None if part_pixels is None else part_pixels.tolist())
     return _to_bytes(columns, _SAMPLE_COLUMNS, source)
 
 
-def groups_to_parquet(groups: dict[str, Rotations]) -> bytes:
-    """Return the symmetry groups (G, 3, 3) of sets, by the sets' names, as a Parquet file: a row a set."""
-    columns = {"set": list(groups), "symmetry_group": [group.tolist() for group in groups.values()]}
-    return _to_bytes(columns, _GROUP_COLUMNS, {})
+def groups_to_parquet(groups: dict[str, Rotations], parts: dict[str, tuple[str, ...]]) -> bytes:
+    """Return the symmetry groups (G, 3, 3) and the parts' names of sets, by the sets' names, as a Parquet file."""
+    columns = {
+        "set": list(groups),
+        "symmetry_group": [group.tolist() for group in groups.values()],
+        "parts": [list(parts[name]) for name in groups],
+    }
+    return _to_bytes(columns, _SET_COLUMNS, {})
 
 
 def is_made_from(path: Path, source: dict[str, str]) -> bool:

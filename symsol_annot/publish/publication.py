@@ -48,7 +48,8 @@ def publish(
         for published in sets:
             _put_set(bundle, published, on_shard)
         groups = {published.name: _group_of(published) for published in sets}
-        bundle.put(GROUPS_NAME, groups_to_parquet(groups))
+        parts = {published.name: published.manifest.settings.parts for published in sets}
+        bundle.put(GROUPS_NAME, groups_to_parquet(groups, parts))
         bundle.put(CITATION_NAME, citation_cff(about).encode())
         bundle.put(CROISSANT_NAME, croissant_json(about, _DESCRIPTION, bibtex(about), sets, bundle))
         figures = {(one.name, split): measure(one, split, bundle) for one in sets for split in one.splits}

@@ -40,7 +40,8 @@ class Sample:
     Attributes:
         index: within the split.
         image: (H, W, 3) u8 RGB.
-        segmentation: (H, W) u8: 0 background, 1 body, 2 marking. None in an imported set, which has none.
+        segmentation: (H, W) u8: 0 background, 1 body, 2 marking, as `Dataset.parts` names them. None in an imported
+            set, which has none.
         rotation: (3, 3) f8, R_m2c, the rotation that the image was drawn at.
         marking_pixels: the marking's visible area in pixels, p(R_m2c); or the largest p of the coset R_m2c H, where
             that reaches the object's tolerance and p(R_m2c) does not. 0 without a marking, NaN in an imported set.
@@ -48,6 +49,10 @@ class Sample:
             set.
         symmetry_mask: (G,) bool over `symmetry_group`, or None where the split has no symmetry sets.
         symmetry_group: (G, 3, 3) f8, the body's symmetries.
+        part_pixels: (P,) f4, the visible area in pixels of each of `Dataset.parts`; None in an imported set, and in one
+            of format version 1, which does not say.
+        depth: (H, W) f4, how far along the camera's axis what is seen at each pixel's centre lies from the camera, in
+            bounding-sphere radii, 0 at the background; None in a set without depth.
     """
 
     index: int
@@ -58,6 +63,8 @@ class Sample:
     marking_visible: bool | None
     symmetry_mask: npt.NDArray[np.bool_] | None
     symmetry_group: Rotations
+    part_pixels: npt.NDArray[np.float32] | None = None
+    depth: npt.NDArray[np.float32] | None = None
 
     @property
     def is_annotated(self) -> bool:
@@ -88,6 +95,7 @@ class Labels:
         marking_pixels: (N,) f4, as `Sample.marking_pixels`.
         marking_visible: (N,) bool, whether that is at least the object's tolerance; False in an imported set, which has
             sets for bodies without marking alone.
+        part_pixels: (N, P) f4, as `Sample.part_pixels`; None where that is.
     """
 
     rotation: Rotations
@@ -95,6 +103,7 @@ class Labels:
     symmetry_group: Rotations
     marking_pixels: npt.NDArray[np.float32]
     marking_visible: npt.NDArray[np.bool_]
+    part_pixels: npt.NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.rotation)
@@ -135,7 +144,7 @@ class Dataset(Closing, Sequence[Sample]):
     """A split of a set as a sequence of samples, read when asked for.
 
     At its first use a shard is checked, its SHA-256 and the laws of its labels too, and its labels are read; after that
-    only an image's picture and segmentation are read and inflated.
+    only an image's picture, segmentation and depth are read and inflated.
     A dataset may be used by several threads at once, pickled, and handed to worker processes, forked or spawned. A
     slice is a dataset over the same files.
     """
@@ -170,6 +179,16 @@ class Dataset(Closing, Sequence[Sample]):
         return self.manifest.settings.has_marking
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """The names of the object's parts in the order of their ids, the first of id 1; none in an imported set."""
+        return self.manifest.settings.parts
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether samples have depth."""
+        return self.manifest.settings.has_depth
+
+    @property
     def fingerprint(self) -> str:
         """The SHA-256 that names the split by its contents, whether or not it was rendered with the other split."""
         return str(self.manifest.split_fingerprint(self.split))
@@ -190,9 +209,9 @@ class Dataset(Closing, Sequence[Sample]):
             without_sets = _without_sets(self.manifest.is_imported)
             raise NotAnnotatedError(f"{self.folder}: the {self.split} split {without_sets}")
         rows = list(self._rows)
-        columns = [self._labels_of(number) for number in range(len(self._entries))]
-        rotation, mask, pixels, visible = (np.concatenate(column)[rows] for column in zip(*columns, strict=True))
-        return Labels(rotation, mask, self.symmetry_group, pixels, visible)
+        shards = [self._labels_of(number) for number in range(len(self._entries))]
+        columns = {name: np.concatenate([shard[name] for shard in shards])[rows] for name in shards[0]}
+        return Labels(symmetry_group=self.symmetry_group, **columns)
 
     def shard_numbers(self) -> npt.NDArray[np.int64]:
         """Return the number (n,) of the shard that holds each image, counted within the split; no file is read."""
@@ -230,7 +249,7 @@ class Dataset(Closing, Sequence[Sample]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_shards": {}, "_open": OrderedDict()}
 
-    def _labels_of(self, number: int) -> tuple[npt.NDArray[Any], ...]:
+    def _labels_of(self, number: int) -> dict[str, npt.NDArray[Any]]:
         shard, _ = self._opened(number)
         if not np.array_equal(shard.symmetry_group, self.symmetry_group):
             path = self.folder / self._entries[number].file
@@ -269,8 +288,8 @@ class _Shard:
     def __init__(self, shard: Shard, labels: ShardLabels, first_index: int) -> None:
         self._path, self._identity, self._first_index = shard.path, shard.file.identity, first_index
         self._tolerance_px = shard.tolerance_px
-        self._image, self._segmentation = shard.image, shard.segmentation
-        self._rotation, self._mask = labels.rotation, labels.symmetry_mask
+        self._image, self._segmentation, self._depth = shard.image, shard.segmentation, shard.depth
+        self._rotation, self._mask, self._part_pixels = labels.rotation, labels.symmetry_mask, labels.part_pixels
         unknown = np.full(len(shard), np.nan, dtype=np.float32)
         self._pixels = unknown if labels.marking_pixels is None else labels.marking_pixels
         self.symmetry_group = labels.symmetry_group
@@ -299,15 +318,23 @@ class _Shard:
                 marking_visible=None if is_imported else pixels >= self._tolerance_px,  # False where that is NaN
                 symmetry_mask=None if self._mask is None else self._mask[row].copy(),
                 symmetry_group=self.symmetry_group,
+                part_pixels=None if self._part_pixels is None else self._part_pixels[row].copy(),
+                depth=None if self._depth is None else self._depth.row(row, file),
             )
         except DamageError as error:
             raise DataError(f"{self._path}: {error}. `symsol-annot verify` checks the whole set") from None
 
-    def labels(self) -> tuple[npt.NDArray[Any], ...]:
-        """Return rotation, symmetry_mask, marking_pixels and whether the marking shows, of all rows."""
+    def labels(self) -> dict[str, npt.NDArray[Any]]:
+        """Return the arrays of `Labels` over all rows, by name."""
         if self._mask is None:
             raise DataError(f"{self._path}: labels cannot be read: it has no symmetry_mask")
-        return self._rotation, self._mask, self._pixels, self._pixels >= self._tolerance_px
+        columns = {
+            "rotation": self._rotation,
+            "symmetry_mask": self._mask,
+            "marking_pixels": self._pixels,
+            "marking_visible": self._pixels >= self._tolerance_px,
+        }
+        return columns if self._part_pixels is None else {**columns, "part_pixels": self._part_pixels}
 
 
 def _without_sets(is_imported: bool) -> str:  # noqa: FBT001

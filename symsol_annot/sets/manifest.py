@@ -6,6 +6,7 @@ digest of itself. `fingerprint` names the finished set by its contents.
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,13 +21,13 @@ from symsol_annot.sets.settings import (
     settings_from_json,
 )
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, ShardHeader, shard_file_name
+from symsol_annot.sets.shard.layout import LAYOUTS, NEWEST
 from symsol_annot.system.files import write_atomically
 from symsol_annot.system.reading import read_bytes
 from symsol_annot.system.text.names import SPLITS
 
 MANIFEST_NAME = "manifest.json"
 MANIFEST_FORMAT = "symsol-annot set"
-MANIFEST_FORMAT_VERSION = 1
 MAX_MANIFEST_BYTES = 2**24  # 50,000 shards; JSON takes up to 25 times its size in memory
 _BESIDES_PIXELS_BYTES = 2**23  # of a shard: the labels of 500 images over 7,200 symmetries, the group, the attributes
 _FINGERPRINTED = ("object", "object_sha256", "seed", "camera")  # of the settings, beside the contents
@@ -67,10 +68,12 @@ class Manifest:
     Attributes:
         settings: what decides the contents, or what is known of an imported set.
         shards: all planned shards, train before test, in order.
+        format_version: of the manifest and of its shards, one of `LAYOUTS`; only sets of the newest are made.
     """
 
     settings: SetSettings
     shards: tuple[ShardEntry, ...]
+    format_version: int = NEWEST
 
     @property
     def is_finished(self) -> bool:
@@ -134,7 +137,7 @@ class Manifest:
 
     def header(self, entry: ShardEntry, versions: dict[str, str]) -> ShardHeader:
         """Return what a shard of this set says of itself, made with such software."""
-        return ShardHeader(self.settings, entry.split, entry.first_index, versions)
+        return ShardHeader(self.settings, entry.split, entry.first_index, versions, self.format_version)
 
     def expected_attributes(self, entry: ShardEntry) -> dict[str, Any]:
         """Return the attributes that a shard of this set carries, but for the software's versions."""
@@ -194,13 +197,13 @@ def read_manifest(folder: Path) -> Manifest:
     if not isinstance(document, dict) or document.get("format") != MANIFEST_FORMAT:
         raise DataError(f"{path}: is no manifest of a set ('format' is not {MANIFEST_FORMAT!r})")
     found = document.get("format_version")
-    if type(found) is int and found > MANIFEST_FORMAT_VERSION:
+    if type(found) is int and found > NEWEST:
         raise DataError(
-            f"{path}: is of format version {found}, newer than {MANIFEST_FORMAT_VERSION}, which this symsol-annot "
-            "reads: update it"
+            f"{path}: is of format version {found}, newer than {NEWEST}, which this symsol-annot reads: update it"
         )
-    if found != MANIFEST_FORMAT_VERSION:
-        raise DataError(f"{path}: this version reads format_version {MANIFEST_FORMAT_VERSION}, found {found!r}")
+    if type(found) is not int or found not in LAYOUTS:
+        known = " and ".join(str(version) for version in LAYOUTS)
+        raise DataError(f"{path}: this symsol-annot reads format_version {known}, found {found!r}")
     try:
         manifest = _from_document(document)
         is_whole = _serialise(manifest) == data
@@ -212,6 +215,16 @@ def read_manifest(folder: Path) -> Manifest:
             "Fetch it again, or render the set again"
         )
     return manifest
+
+
+def refuse_to_add(folder: Path, manifest: Manifest) -> None:
+    """Raise a DataError where a folder's set is of a format that is read, and no longer written."""
+    if manifest.format_version != NEWEST:
+        again = "Import it" if manifest.is_imported else "Render it"
+        raise DataError(
+            f"{folder}: holds a set of format version {manifest.format_version}, which is read for good but no longer "
+            f"written, so nothing was touched. {again} anew into another folder (--out) to have it in version {NEWEST}"
+        )
 
 
 def _serialise(manifest: Manifest) -> bytes:
@@ -243,7 +256,7 @@ def _to_document(manifest: Manifest) -> dict[str, Any]:
             }
     return {
         "format": MANIFEST_FORMAT,
-        "format_version": MANIFEST_FORMAT_VERSION,
+        "format_version": manifest.format_version,
         **manifest.settings.to_json(),
         "fingerprint": manifest.fingerprint,
         "splits": splits,
@@ -258,7 +271,8 @@ def _from_document(document: dict[str, Any]) -> Manifest:
         for split in SPLITS
         for shard in document["splits"].get(split, {}).get("shards", [])
     )
-    manifest = Manifest(settings, shards)
+    manifest = Manifest(settings, shards, document["format_version"])
+    _require(LAYOUTS[manifest.format_version].has_depth or not settings.has_depth, "depth")
     _check_shards(manifest)
     return manifest
 
@@ -272,16 +286,17 @@ def _check_shards(manifest: Manifest) -> None:
             _require(type(shard.first_index) is int and type(shard.images) is int, shard.file)
             _require(shard.file == name and shard.first_index == following, shard.file)
             _require(1 <= shard.images <= MAX_IMAGES_PER_SHARD, shard.file)
-            _require(_is_finished_or_not(shard, manifest.settings.image_size), shard.file)
+            _require(_is_finished_or_not(shard, manifest.settings), shard.file)
             following += shard.images
 
 
-def _is_finished_or_not(shard: ShardEntry, image_size: tuple[int, int]) -> bool:
+def _is_finished_or_not(shard: ShardEntry, settings: SetSettings) -> bool:
     found = (shard.bytes, shard.sha256, shard.content_sha256)
     if found == (None, None, None):
         return True
-    pixels = shard.images * image_size[0] * image_size[1]
-    most = _BESIDES_PIXELS_BYTES + 5 * pixels  # RGB and segmentation, which compressing hardly lengthens
+    pixels = shard.images * math.prod(settings.image_size)
+    per_pixel = 9 if settings.has_depth else 5  # RGB, segmentation and depth, which compressing hardly lengthens
+    most = _BESIDES_PIXELS_BYTES + per_pixel * pixels
     return is_whole(shard.bytes, 1, most) and is_sha256(shard.sha256) and is_sha256(shard.content_sha256)
 
 

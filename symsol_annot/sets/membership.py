@@ -44,8 +44,14 @@ def checked_shard(
 
 def membership_faults(shard: Shard, manifest: Manifest, entry: ShardEntry) -> Iterator[str]:
     """Yield why a shard is not the one that a manifest lists, one line each."""
+    found, expected = shard.layout.version, manifest.format_version
+    if found != expected:
+        yield f"expected format version {expected}, that of the manifest, found {found}: fetch the whole set again"
+        return
     yield from header_mismatches(shard, manifest.expected_attributes(entry))
     if len(shard) != entry.images:
         yield f"expected {entry.images} images, found {len(shard)}"
     if shard.is_annotated != manifest.is_annotated(entry.split):
         yield "symmetry_mask: manifest and shard disagree on whether the split has symmetry sets"
+    if (shard.depth is not None) != manifest.settings.has_depth:
+        yield "depth: manifest and shard disagree on whether images have depth maps"

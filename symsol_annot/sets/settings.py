@@ -45,6 +45,16 @@ class SetSettings(ABC):
     def has_marking(self) -> bool:
         """Whether the object has a marking by which the images are divided; False for an imported set."""
 
+    @property
+    @abstractmethod
+    def parts(self) -> tuple[str, ...]:
+        """The names of the object's parts, in the order of their ids, the first of id 1; none in an imported set."""
+
+    @property
+    @abstractmethod
+    def has_depth(self) -> bool:
+        """Whether every image has a depth map."""
+
     @abstractmethod
     def to_json(self) -> dict[str, Any]:
         """Return the settings as they stand in manifest.json, in the order of its keys; None for what is not known."""
@@ -81,6 +91,16 @@ class RenderedSettings(SetSettings):
     def has_marking(self) -> bool:
         """Whether the object has a marking by which the images are divided."""
         return self.tolerance_px is not None
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The names of the object's parts, in the order of their ids, the first of id 1."""
+        return ("body", "marking") if self.has_marking else ("body",)
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether every image has a depth map."""
+        return self.render.depth
 
     def to_json(self) -> dict[str, Any]:
         """Return the settings as they stand in manifest.json, in the order of its keys."""
@@ -142,6 +162,16 @@ class ImportedSettings(SetSettings):
     @property
     def has_marking(self) -> bool:
         """False: an imported set is not divided by a marking."""
+        return False
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """None: an imported set does not say which pixels are whose."""
+        return ()
+
+    @property
+    def has_depth(self) -> bool:
+        """False: an imported set has no depth maps."""
         return False
 
     def camera_to_json(self) -> dict[str, Any]:

@@ -39,7 +39,9 @@ class SymsolDataset(TorchDataset[Item]):
         index: within the split, int.
         symmetry_mask: (G,) bool over `symmetry_group`, in annotated splits.
         marking_pixels, marking_visible: float and bool, in rendered sets.
+        part_pixels: (P,) float32, in rendered sets but for those of format version 1.
         segmentation: (H, W) uint8: 0 background, 1 body, 2 marking; where asked for.
+        depth: (H, W) float32, as `Sample.depth`; where asked for.
 
     It can be pickled and handed to worker processes, forked or spawned.
 
@@ -56,6 +58,7 @@ class SymsolDataset(TorchDataset[Item]):
         dtype: torch.dtype = torch.float32,
         transform: Callable[[Tensor], Any] | None = None,
         segmentation: bool = False,
+        depth: bool = False,
     ) -> None:
         """Open a split.
 
@@ -68,9 +71,10 @@ class SymsolDataset(TorchDataset[Item]):
             transform: applied to the image, like torchvision's. It may change colours; a turned or mirrored image would
                 no longer be one of its rotation.
             segmentation: whether items hold it.
+            depth: whether items hold it.
 
         Raises:
-            SettingsError: an unknown layout, or a segmentation asked of an imported set, which has none.
+            SettingsError: an unknown layout, or a segmentation or a depth asked of a set that has none.
             DataError: the folder holds no such split, or shards of it are missing.
         """
         if layout not in LAYOUTS:
@@ -78,7 +82,12 @@ class SymsolDataset(TorchDataset[Item]):
         self.samples = source if isinstance(source, Dataset) else load(source, split)
         if segmentation and self.samples.manifest.is_imported:
             raise SettingsError(f"segmentation: {self.samples.folder} was imported, and has none")
-        self._layout, self._dtype, self._transform, self._segmentation = layout, dtype, transform, segmentation
+        if depth and not self.samples.has_depth:
+            raise SettingsError(
+                f"depth: {self.samples.folder} has none; `symsol-annot render --depth` makes sets with it"
+            )
+        self._layout, self._dtype, self._transform = layout, dtype, transform
+        self._segmentation, self._depth = segmentation, depth
 
     @property
     def symmetry_group(self) -> Tensor:
@@ -106,8 +115,12 @@ class SymsolDataset(TorchDataset[Item]):
             item["symmetry_mask"] = torch.from_numpy(sample.symmetry_mask)
         if sample.marking_visible is not None:
             item |= {"marking_pixels": sample.marking_pixels, "marking_visible": sample.marking_visible}
+        if sample.part_pixels is not None:
+            item["part_pixels"] = torch.from_numpy(sample.part_pixels)
         if self._segmentation:
             item["segmentation"] = torch.from_numpy(np.asarray(sample.segmentation))
+        if self._depth:
+            item["depth"] = torch.from_numpy(np.asarray(sample.depth))
         return item
 
 

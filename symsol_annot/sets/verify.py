@@ -1,5 +1,6 @@
 """Checking a set on disk: that it is whole and consistent. Nothing is written."""
 
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeAlias
@@ -8,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DataError, first_of
-from symsol_annot.rendering.renderer import MARKING
+from symsol_annot.rendering.renderer import BACKGROUND
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.manifest import Manifest, ShardEntry, read_manifest, shards_in
 from symsol_annot.sets.membership import membership_faults
@@ -82,16 +83,34 @@ def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, first: "_
 
 def _content_faults(shard: Shard, entry: ShardEntry) -> Iterator[str]:
     """Yield what the pixels of no image set can be, and whether the arrays are those that the manifest lists."""
-    yield from _segmentation_faults(shard)
+    if shard.segmentation is not None:
+        yield from _map_faults(shard)
     if content_sha256(shard) != entry.content_sha256:
         yield f"its arrays do not have the digest content_sha256 {entry.content_sha256}"
 
 
-def _segmentation_faults(shard: Shard) -> Iterator[str]:
-    most = [int(ids.max()) for ids in shard.segmentations()]
-    stray = [str(shard.first_index + row) for row, highest in enumerate(most) if highest > MARKING or highest == 0]
+def _map_faults(shard: Shard) -> Iterator[str]:
+    """Yield which segmentations and depths no image can have."""
+    parts, stray, no_depth = len(shard.parts), [], []
+    depths = shard.rows("depth") if shard.depth is not None else itertools.repeat(None, len(shard))
+    for row, (ids, depth) in enumerate(zip(shard.rows("segmentation"), depths, strict=True)):
+        if not BACKGROUND < int(ids.max()) <= parts:
+            stray.append(str(shard.first_index + row))
+        if depth is not None and not _is_depth(depth, ids):
+            no_depth.append(str(shard.first_index + row))
     if stray:
-        yield f"segmentation: image {first_of(stray, _LISTED_ROWS)}: holds an id outside 0, 1, 2, or no object"
+        known = ", ".join(str(number) for number in range(parts + 1))
+        yield f"segmentation: image {first_of(stray, _LISTED_ROWS)}: holds an id outside {known}, or no object"
+    if no_depth:
+        yield (
+            f"depth: image {first_of(no_depth, _LISTED_ROWS)}: is not finite and above 0 where the segmentation has "
+            "the object, and 0 elsewhere"
+        )
+
+
+def _is_depth(depth: npt.NDArray[np.float32], ids: npt.NDArray[np.uint8]) -> bool:
+    """Tell whether depths (H, W) are those of an object where ids (H, W) have one, and the background's elsewhere."""
+    return bool(np.isfinite(depth).all() and ((depth > 0) == (ids != BACKGROUND)).all() and (depth >= 0).all())
 
 
 class _FirstShard:

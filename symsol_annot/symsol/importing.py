@@ -19,7 +19,14 @@ import numpy.typing as npt
 from symsol_annot import __version__
 from symsol_annot.errors import DataError, DifferentSetError, SettingsError, output_errors
 from symsol_annot.rotations.so3 import Rotations, rotation_deviation
-from symsol_annot.sets.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest, write_manifest
+from symsol_annot.sets.manifest import (
+    MANIFEST_NAME,
+    Manifest,
+    ShardEntry,
+    read_manifest,
+    refuse_to_add,
+    write_manifest,
+)
 from symsol_annot.sets.plan import division_into_shards
 from symsol_annot.sets.settings import ImportedSettings, Source
 from symsol_annot.sets.shard.writer import ShardFile, ShardWriter, storage_versions
@@ -79,7 +86,8 @@ def import_symsol(
         on_images: told how many more images are imported.
 
     Raises:
-        DataError: the zip is damaged or not SYMSOL's; nothing is left of the object in question.
+        DataError: the zip is damaged or not SYMSOL's; nothing is left of the object in question. Or the folder holds
+            the object's set in an older format, to which nothing is added.
         DifferentSetError: the folder holds another set under an object's name.
         SettingsError: an object is not in the zip.
         OutputError: the folder cannot be written to, or a file in it is a link that leads out of it.
@@ -247,6 +255,7 @@ def _manifest_there(folder: Path, planned: Manifest) -> Manifest | None:
     """Return the manifest of a set that a folder holds already; refuse another one, or anything else."""
     if (folder / MANIFEST_NAME).exists():
         there = read_manifest(folder)
+        refuse_to_add(folder, there)
         differences = planned.differences(there)
         if differences:
             raise DifferentSetError(str(folder), differences)

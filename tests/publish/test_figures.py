@@ -21,7 +21,7 @@ def test_the_cards_figures_are_those_of_the_shards(bundle, data):
         camera = json.loads(shards[0].attrs["camera"])
         assert contents[name, split][2] == str(images)
         assert contents[name, split][5] == f"{camera['focal_px']:.3f}"
-        assert contents[name, split][6] == str(len(shards[0]["symmetry_group"]))
+        assert contents[name, split][6] == str(len(shards[0].attrs["symmetry_group"]))
         if name == "tet":
             assert rows[name, split][2:] == ["", "", "12 in 110", "", ""]
             continue

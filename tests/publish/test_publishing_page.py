@@ -49,7 +49,9 @@ def test_the_examples_see_the_same_in_a_bundle_and_in_a_shard(bundle, data, tmp_
         by_h5py += [line.partition(": ")[2] for line in done.stdout.splitlines()[1:]]
     lines = [line.partition(": ")[2] for line in by_datasets.stdout.splitlines()]
     expected = [
-        f"mean {sample.image.mean():.3f}, marking {'shown' if sample.marking_visible else 'not shown'}, "
+        f"mean {sample.image.mean():.3f}, "
+        f"{sample.part_pixels[0]:g} px of body, {sample.part_pixels[1]:g} px of marking, "
+        f"marking {'shown' if sample.marking_visible else 'not shown'}, "
         + (f"{len(sample.symmetry_set)} rotations" if split == "test" else "no symmetry set")
         for sample in symsol_annot.load(data / "tetX", split)
     ]

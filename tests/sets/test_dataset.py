@@ -92,6 +92,31 @@ def test_index_that_is_no_integer_is_a_type_error(tetX_set, index):
         load(tetX_set)[index]
 
 
+@pytest.mark.parametrize(("name", "parts"), [("tetX", ("body", "marking")), ("tet", ("body",))])
+def test_parts_have_a_name_for_each_id_and_an_area_in_each_image(tmp_path, name, parts):
+    """The areas are those of four lattice points a pixel; the ids are those at pixels' centres."""
+    with load(make_set(tmp_path, name, test=6)) as dataset:
+        assert dataset.parts == parts
+        assert not dataset.has_depth
+        assert max(int(sample.segmentation.max()) for sample in dataset) == len(parts)
+        for sample in dataset:
+            assert sample.depth is None
+            assert sample.part_pixels.shape == (len(parts),)
+            counts = [np.count_nonzero(sample.segmentation == number) for number in range(1, len(parts) + 1)]
+            np.testing.assert_allclose(sample.part_pixels, counts, atol=40)
+            assert sample.part_pixels.sum() == pytest.approx(np.count_nonzero(sample.segmentation), abs=12)
+
+
+def test_depth_is_what_h5py_reads(tmp_path):
+    folder = make_set(tmp_path, test=20, size=16, depth=True)
+    expected = expected_samples(folder)
+    with load(folder) as dataset:
+        assert dataset.has_depth
+        for sample, fields in zip(dataset, expected, strict=True):
+            assert sample.depth.dtype == np.float32
+            np.testing.assert_array_equal(sample.depth, fields["depth"])
+
+
 SLICES = [
     slice(None),
     slice(5),

@@ -67,7 +67,7 @@ def test_shard_that_vanished_after_loading_is_an_error(tetX_set):
 
 
 @pytest.mark.parametrize(
-    "name", ["image", "segmentation", "rotation", "marking_pixels", "symmetry_mask", "symmetry_group"]
+    "name", ["image", "segmentation", "rotation", "marking_pixels", "symmetry_mask", "part_pixels"]
 )
 def test_damaged_chunk_is_an_error_that_names_the_file_and_never_a_sample(tetX_set, name):
     flip_chunk(tetX_set / "test-00001-of-00003.h5", name)

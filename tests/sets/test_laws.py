@@ -1,6 +1,7 @@
 """What labels obey, whoever signed them: rotations, a group, R_gt in every set, the one rule's sets."""
 
 from dataclasses import replace
+from functools import partial
 
 import h5py
 import numpy as np
@@ -9,7 +10,7 @@ import symsol_source
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_sets import make_set
-from tampering import put, reseal, tampered
+from tampering import change_group, put, reseal, tampered
 
 from symsol_annot.errors import DataError
 from symsol_annot.rendering.camera import Camera
@@ -163,9 +164,14 @@ def spoilt(name, row, value):
 
 def other_group(change):
     def spoil(shard):
-        put(shard, "symmetry_group", np.ascontiguousarray(change(shard["symmetry_group"][...])))
+        change_group(shard, change)
 
     return spoil
+
+
+def with_element(index, value, group):
+    group[index] = value
+    return group
 
 
 def turned_element(group):
@@ -174,15 +180,15 @@ def turned_element(group):
 
 
 def doubled(shard):
-    for name, axis in (("symmetry_group", 0), ("symmetry_mask", 1)):
-        put(shard, name, np.concatenate([shard[name][...]] * 2, axis=axis))
+    change_group(shard, lambda group: np.concatenate([group, group]))
+    put(shard, "symmetry_mask", np.concatenate([shard["symmetry_mask"][...]] * 2, axis=1))
 
 
 def doubled_by_a_turn_that_is_none(shard):
-    group, mask = shard["symmetry_group"][...], shard["symmetry_mask"][...]
+    mask = shard["symmetry_mask"][...]
     angle = 1e-8
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    put(shard, "symmetry_group", np.concatenate([group, group @ turn]))
+    change_group(shard, lambda group: np.concatenate([group, group @ turn]))
     put(shard, "symmetry_mask", np.concatenate([mask, mask], axis=1))
 
 
@@ -195,6 +201,21 @@ LAWLESS = {
     "infinite": (spoilt("rotation", 0, np.inf), "rotation: image 16: is no rotation"),
     "negative area": (spoilt("marking_pixels", 15, -0.25), "marking_pixels: image 31: is no area"),
     "infinite area": (spoilt("marking_pixels", 15, np.inf), "marking_pixels: image 31: is no area"),
+    "negative area of a part": (spoilt("part_pixels", (3, 0), -1.0), "part_pixels: image 19: is no area"),
+    "area of a part that is no number": (spoilt("part_pixels", (3, 1), np.nan), "part_pixels: image 19: is no area"),
+    "infinite area of a part": (spoilt("part_pixels", (0, 0), np.inf), "part_pixels: image 16: is no area"),
+    "parts larger than the image": (
+        spoilt("part_pixels", (2, 0), 65 * 65 / 4 + 0.25),
+        "part_pixels: image 18: is more than the 1056.25 pixels of an image",
+    ),
+    "parts larger than the image together": (
+        spoilt("part_pixels", slice(None), lambda areas: areas + np.array([1057.0, 0.0])),
+        "part_pixels: image 16, 17, 18, 19, 20 and 11 more: is more than",
+    ),
+    "marking larger than its coset's": (
+        spoilt("part_pixels", (5, 1), lambda area: area + 300),
+        "marking_pixels: image 21: is less than the marking's part_pixels",
+    ),
     "empty set": (spoilt("symmetry_mask", 2, False), "symmetry_mask: image 18: the set lacks R_gt"),
     "no sets at all": (spoilt("symmetry_mask", slice(None), False), "the set lacks R_gt"),
     "group of zeros": (other_group(lambda group: 0 * group), "symmetry_group: element 0 is no rotation"),
@@ -228,10 +249,25 @@ def test_no_warning_and_no_result_comes_of_numbers_at_the_ends_of_their_range(te
     for value in values:
         with tampered(tetX_set, SECOND) as shard:
             shard["rotation"][0] = value
-            shard["symmetry_group"][3] = value
+            change_group(shard, partial(with_element, 3, value))
             shard["marking_pixels"][1] = np.float32(np.clip(value, -3e38, 3e38))
         with pytest.raises(DataError, match="is no rotation"):
             load(tetX_set)[FIRST_INDEX]
+
+
+@pytest.mark.parametrize("areas", [(1056.25, 0.0), (1055.0, 1.25), (0.0, 1056.25), (0.0, 0.0)])
+def test_parts_may_fill_the_lattice_and_no_more(tmp_path, areas):
+    """65 by 65 points of a quarter of a pixel, for 32 by 32 pixels."""
+    folder = make_set(tmp_path, "tetX", test=1)
+    file = "test-00000-of-00001.h5"
+    with tampered(folder, file) as shard:
+        shard["part_pixels"][0] = areas
+        shard["marking_pixels"][0] = areas[1]
+        shard["symmetry_mask"][0] = members(0) if areas[1] else members(*range(12))
+    assert [fault for fault in verify(folder) if "pixels" in fault] == []
+    with tampered(folder, file) as shard:
+        shard["part_pixels"][0, 0] += 0.25 if sum(areas) else 1057
+    assert [fault.split(":")[1] for fault in verify(folder)] == [" part_pixels"]
 
 
 # Sets from elsewhere
@@ -290,8 +326,9 @@ def test_a_lawful_shard_is_what_it_was(tetX_set):
     """Else the tests here would find what the tampering did."""
     before = [sample.symmetry_mask for sample in load(tetX_set)]
     with tampered(tetX_set, SECOND) as shard:
-        for name in ("rotation", "symmetry_group", "symmetry_mask", "marking_pixels"):
+        for name in ("rotation", "symmetry_mask", "marking_pixels", "part_pixels"):
             put(shard, name, shard[name][...])
+        change_group(shard, lambda group: group)
         assert isinstance(shard, h5py.File)
     np.testing.assert_array_equal(before, [sample.symmetry_mask for sample in load(tetX_set)])
     assert verify(tetX_set) == []

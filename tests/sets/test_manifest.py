@@ -16,7 +16,9 @@ from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.manifest import read_manifest, write_manifest
 
 
-@pytest.mark.parametrize("manifest", [PLANNED, FINISHED, PLANNED.with_finished(FINISHED.shards[1])])
+@pytest.mark.parametrize(
+    "manifest", [PLANNED, FINISHED, PLANNED.with_finished(FINISHED.shards[1]), replace(FINISHED, format_version=1)]
+)
 def test_written_manifest_is_read_back(tmp_path, manifest):
     write_manifest(tmp_path, manifest)
     assert read_manifest(tmp_path) == manifest
@@ -50,7 +52,7 @@ def test_json_alone_tells_what_a_set_consists_of(tetX_set):
 
 def test_fingerprint_follows_from_the_arrays_alone(tetX_set):
     document = json.loads((tetX_set / "manifest.json").read_text())
-    arrays = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask", "symmetry_group")
+    arrays = ("image", "segmentation", "rotation", "marking_pixels", "part_pixels", "symmetry_mask")
     contents = {}
     for split in ("train", "test"):
         contents[split] = []
@@ -60,6 +62,8 @@ def test_fingerprint_follows_from_the_arrays_alone(tetX_set):
                 for name in (name for name in arrays if name in file):
                     digest.update(f"{name} {file[name].dtype.str} {file[name].shape}\n".encode())
                     digest.update(file[name][...].tobytes())
+                group = file.attrs["symmetry_group"]
+                digest.update(f"symmetry_group {group.dtype.str} {group.shape}\n".encode() + group.tobytes())
                 row = [split, int(file.attrs["first_index"]), len(file["image"]), digest.hexdigest()]
             contents[split].append(row)
     made_from = {key: document[key] for key in ("object", "object_sha256", "seed", "camera")}

@@ -2,11 +2,13 @@
 
 import json
 import os
+from dataclasses import replace
 
 import pytest
 from made_manifests import FINISHED, with_entry, write_sealed
 
 from symsol_annot.errors import DataError
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.manifest import MAX_MANIFEST_BYTES, read_manifest, write_manifest
 
 
@@ -88,9 +90,11 @@ def test_sealing_is_what_the_package_does(tmp_path, document):
     [
         ("format", "another set", "is no manifest of a set"),
         ("format", None, "is no manifest of a set"),
-        ("format_version", 2, "of format version 2, newer than 1, .* update it"),
-        ("format_version", "1", "reads format_version 1, found '1'"),
-        ("format_version", None, "reads format_version 1, found None"),
+        ("format_version", 3, "of format version 3, newer than 2, .* update it"),
+        ("format_version", 0, "reads format_version 1 and 2, found 0"),
+        ("format_version", "1", "reads format_version 1 and 2, found '1'"),
+        ("format_version", True, "reads format_version 1 and 2, found True"),
+        ("format_version", None, "reads format_version 1 and 2, found None"),
     ],
 )
 def test_another_format_is_refused_by_its_name(tmp_path, document, field, value, words):
@@ -202,6 +206,7 @@ WRONG = {
         [None] * 3,
     ],
     ("render", "marking_colour"): [[True, 0, 0], [[0.5] * 3] * 3, {"r": 1}, [1e999, 0, 0]],
+    ("render", "depth"): [False, None, 1, "yes"],
     ("render", "ambient"): [-0.1, 1.1, None, "0", True, [], 1e999],
     ("render", "diffuse"): [2, None, [0.5]],
     ("render", "shadows"): [True],
@@ -246,6 +251,25 @@ def test_shards_may_be_as_large_as_their_images_and_no_larger(tmp_path):
         else:
             with pytest.raises(DataError, match="damaged or was edited"):
                 read_manifest(tmp_path)
+
+
+def test_shards_with_depth_may_be_larger(tmp_path):
+    deep = replace(FINISHED, settings=replace(FINISHED.settings, render=RenderSettings(depth=True)))
+    size = 2**23 + 7 * 16 * 16 * 16  # of an image of 7 bytes per pixel
+    for manifest, is_taken in ((deep, True), (FINISHED, False)):
+        write_manifest(tmp_path, manifest.with_finished(replace(manifest.shards[1], bytes=size)))
+        if is_taken:
+            assert read_manifest(tmp_path).settings.has_depth
+        else:
+            with pytest.raises(DataError, match="damaged or was edited"):
+                read_manifest(tmp_path)
+
+
+def test_depth_in_a_set_of_version_1_is_refused_which_had_none(tmp_path):
+    deep = replace(FINISHED, settings=replace(FINISHED.settings, render=RenderSettings(depth=True)))
+    write_manifest(tmp_path, replace(deep, format_version=1))
+    with pytest.raises(DataError, match="damaged or was edited"):
+        read_manifest(tmp_path)
 
 
 @pytest.mark.parametrize("count", [1, 3, 40])

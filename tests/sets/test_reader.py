@@ -7,9 +7,9 @@ import random
 import h5py
 import numpy as np
 import pytest
-from made_shards import COUNT, HEADER, LAYOUT, build, header, read_all, refusal
+from made_shards import COUNT, DEEP, GROUP, LAYOUT, build, header, read_all, refusal
 from odd_shards import extra_data_set
-from tampering import ChunkIndex, descriptors, links_instead, put
+from tampering import ChunkIndex, change_group, descriptors, links_instead, put
 
 from symsol_annot.errors import DataError
 from symsol_annot.sets.shard import reader as shards
@@ -19,21 +19,25 @@ from symsol_annot.sets.shard.reader import content_sha256, open_shard, opened_sh
 def test_what_is_read_is_what_h5py_reads(shard):
     found = read_all(shard)
     with h5py.File(shard) as file:
+        group = found.pop("symmetry_group")
         assert set(found) == set(file)
+        np.testing.assert_array_equal(group, file.attrs["symmetry_group"])
         for name, values in found.items():
             assert (values.dtype, values.shape) == (file[name].dtype, file[name].shape)
             np.testing.assert_array_equal(values, file[name][...])
         with open_shard(shard) as opened:
-            assert opened.attributes == dict(file.attrs)
-            assert opened.versions == HEADER.versions
+            assert opened.attributes.keys() | opened.array_attributes.keys() == file.attrs.keys()
+            assert opened.attributes == {name: file.attrs[name] for name in opened.attributes}
+            assert opened.versions == DEEP.versions
+            assert opened.parts == ("body", "marking")
             assert len(opened) == COUNT
 
 
 def test_split_without_annotation_has_no_symmetry_mask_and_is_valid(tmp_path):
     path = tmp_path / "train-00000-of-00001.h5"
-    path.write_bytes(build(annotated=False).data)
+    path.write_bytes(build(header(), annotated=False).data)
     with open_shard(path) as shard:
-        assert set(shard.arrays) == set(LAYOUT) - {"symmetry_mask"}
+        assert set(shard.arrays) == set(LAYOUT) - {"symmetry_mask", "depth"}
         assert not shard.is_annotated
 
 
@@ -101,6 +105,8 @@ def test_content_digest_is_over_names_types_shapes_and_values(shard):
     with h5py.File(shard) as file:
         for name, (dtype, shape) in LAYOUT.items():
             digest.update(f"{name} {dtype} {shape}\n".encode() + file[name][...].tobytes())
+        group = file.attrs["symmetry_group"]
+    digest.update(f"symmetry_group <f8 {group.shape}\n".encode() + group.tobytes())
     assert digest_of(shard) == digest.hexdigest() == build().content_sha256
 
 
@@ -124,8 +130,16 @@ def test_content_digest_depends_on_every_value(shard, name):
     assert digest_of(shard) != build().content_sha256
 
 
+def test_content_digest_depends_on_the_group(shard):
+    group = GROUP.copy()
+    group[-1, -1, -1] = np.nextafter(1.0, 2.0)
+    with h5py.File(shard, "r+") as file:
+        change_group(file, lambda _: group)
+    assert digest_of(shard) == build(group=group).content_sha256 != build().content_sha256
+
+
 def test_content_digest_does_not_depend_on_the_header():
-    assert build(header(seed=8)).content_sha256 == build().content_sha256
+    assert build(header(seed=8)).content_sha256 == build(header()).content_sha256
 
 
 # What is no shard

@@ -74,13 +74,14 @@ def test_what_the_format_does_not_have_is_refused_unread(shard, tmp_path, put_in
     assert peak_bytes(pid) < before + 2**23
 
 
-def test_attribute_that_hdf5_cannot_hold_in_the_memory_allowed_is_refused(shard, tmp_path, monkeypatch):
+@pytest.mark.parametrize("name", ["tolerance_px", "symmetry_group"])
+def test_attribute_that_hdf5_cannot_hold_in_the_memory_allowed_is_refused(shard, tmp_path, monkeypatch, name):
     """HDF5 reads the values of an array with what it says of them."""
     with h5py.File(shard) as file, h5py.File(tmp_path / "odd.h5", "w", libver="latest") as other:
         other.attrs.update(file.attrs)
         for name in file:
             put(other, name, file[name][...])
-        other.attrs["tolerance_px"] = np.zeros(2**25)
+        other.attrs[name] = np.zeros((2**22, 3, 3))
     monkeypatch.setattr(shards, "_LIMITS", replace(shards._LIMITS, memory_bytes=2**29))
     with closing(shards._Describer()) as describer:
         monkeypatch.setattr(shards, "_DESCRIBER", describer)

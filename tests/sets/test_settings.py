@@ -76,13 +76,14 @@ def test_typed_arrays_of_a_shard_are_those_that_h5py_reads(tetX_set):
     for entry in manifest.shards:
         with open_shard(tetX_set / entry.file) as shard, h5py.File(tetX_set / entry.file) as file:
             labels = shard.labels()
-            for name in ("rotation", "symmetry_group", "marking_pixels"):
+            for name in ("rotation", "marking_pixels", "part_pixels"):
                 np.testing.assert_array_equal(getattr(labels, name), file[name][...])
+            np.testing.assert_array_equal(labels.symmetry_group, file.attrs["symmetry_group"])
             if manifest.is_annotated(entry.split):
                 np.testing.assert_array_equal(labels.symmetry_mask, file["symmetry_mask"][...])
             else:
                 assert labels.symmetry_mask is None
-            np.testing.assert_array_equal(np.stack(list(shard.segmentations())), file["segmentation"][...])
+            np.testing.assert_array_equal(np.stack(list(shard.rows("segmentation"))), file["segmentation"][...])
             assert (shard.first_index, shard.tolerance_px) == (file.attrs["first_index"], file.attrs["tolerance_px"])
             assert shard.candidates_drawn == file.attrs["candidates_drawn"]
 
@@ -92,8 +93,8 @@ def test_what_an_imported_shard_does_not_know_is_none(tmp_path):
     (made,) = import_symsol(symsol_source.write_zip(tmp_path / "symsol.zip", files), tmp_path / "sets")
     with open_shard(made.folder / made.manifest.shards[0].file) as shard:
         labels = shard.labels()
-        assert (labels.marking_pixels, labels.symmetry_mask, shard.segmentation) == (None, None, None)
-        assert list(shard.segmentations()) == []
+        assert {labels.marking_pixels, labels.part_pixels, labels.symmetry_mask} == {None}
+        assert (shard.segmentation, shard.depth, shard.parts) == (None, None, ())
         assert np.isnan(shard.tolerance_px)
 
 

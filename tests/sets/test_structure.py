@@ -6,8 +6,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from made_shards import COUNT, HEADER, HEIGHT, LAYOUT, NOTES, WIDTH, read_all, refusal
-from odd_shards import FOREIGN_FILES, extra_data_set, plain, replaced, soft_link
+from made_shards import COUNT, DEEP, GROUP, HEIGHT, LAYOUT, NOTES, WIDTH, build, header, read_all, refusal
+from odd_shards import FOREIGN_FILES, FOREIGN_GROUPS, extra_data_set, plain, replaced, soft_link
 from tampering import ChunkIndex
 
 from symsol_annot.errors import DataError
@@ -40,7 +40,50 @@ def test_tampering_itself_is_not_what_is_refused(shard, name):
 # Attributes
 
 
-@pytest.mark.parametrize("name", [*HEADER.to_attributes(), *NOTES])
+@pytest.mark.parametrize("case", FOREIGN_GROUPS)
+def test_group_that_is_no_array_of_rotations_is_refused(shard, tmp_path, case):
+    tamper, words = FOREIGN_GROUPS[case]
+    with h5py.File(shard) as file, h5py.File(tmp_path / "odd.h5", "w", libver=("v108", "v108")) as odd:
+        odd.attrs.update(file.attrs)
+        for name in file:
+            file.copy(name, odd)
+        tamper(odd, shard)
+    message = refusal(tmp_path / "odd.h5")
+    assert words in message
+    assert "symmetry_group" in message or "symmetry_mask" in message
+
+
+def test_a_group_that_lies_elsewhere_in_the_file_is_read_all_the_same(shard):
+    """As that of more than 64 KiB does, and of any file in HDF5's newer formats."""
+    expected = read_all(shard)
+    with h5py.File(shard, "r+", libver="latest") as file:
+        file.attrs["symmetry_group"] = GROUP
+    assert read_all(shard).keys() == expected.keys()
+    np.testing.assert_array_equal(read_all(shard)["symmetry_group"], GROUP)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        *("", "body", "{}", "[]", "null", "3", '["body", 2]', '["body", "body"]', '["body", ""]', '[["body"]]'),
+        *(
+            '["body", "\\u001b[2J"]',
+            "[" * 60_000,
+            f'["{"x" * 65}"]',
+            str([str(n) for n in range(256)]).replace("'", '"'),
+        ),
+        *(7, ["body", "marking"]),
+    ],
+)
+def test_parts_that_are_no_json_list_of_names_are_refused(shard, parts):
+    with h5py.File(shard, "r+", libver="latest") as file:
+        file.attrs["parts"] = parts
+    message = refusal(shard)
+    assert "'parts'" in message
+    assert len(message) < 500
+
+
+@pytest.mark.parametrize("name", [*DEEP.to_attributes(), *NOTES, "symmetry_group", "symmetry_group_sha256"])
 def test_missing_attribute_is_refused(shard, name):
     with h5py.File(shard, "r+") as file:
         del file.attrs[name]
@@ -54,6 +97,7 @@ def test_missing_attribute_is_refused(shard, name):
         ("format", ["symsol-annot shard", "symsol-annot shard"]),
         ("format", 1),
         ("format_version", 0),
+        ("format_version", -1),
         ("format_version", [1, 2]),
         ("format_version", "1"),
         ("format_version", 1.0),
@@ -123,9 +167,25 @@ def test_camera_that_is_no_json_with_a_size_is_refused(shard, camera):
 
 def test_newer_format_is_refused_with_both_versions(shard):
     with h5py.File(shard, "r+") as file:
-        file.attrs["format_version"] = 2
-    with pytest.raises(DataError, match=r"of format version 2, newer than 1, .* update it"), open_shard(shard):
+        file.attrs["format_version"] = 3
+    with pytest.raises(DataError, match=r"of format version 3, newer than 2, .* update it"), open_shard(shard):
         pass
+
+
+@pytest.mark.parametrize("depth", [True, False])
+def test_shard_that_takes_itself_for_one_of_version_1_is_refused(tmp_path, depth):
+    path = tmp_path / "shard.h5"
+    path.write_bytes(build(DEEP if depth else header()).data)
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 1
+    message = refusal(path)
+    odd = [
+        "'parts' is not part of",
+        "'symmetry_group' is not part of",
+        "'part_pixels' is not part of the format, version 1",
+    ]
+    assert [words for words in odd if words not in message] == []
+    assert ("'depth' is not part of" in message) == depth
 
 
 # All at once
@@ -236,7 +296,7 @@ def test_damaged_index_of_chunks_is_refused(shard, damage):
     assert "'image'" in refusal(shard)
 
 
-@pytest.mark.parametrize("name", ["rotation", "symmetry_mask", "symmetry_group", "marking_pixels"])
+@pytest.mark.parametrize("name", ["rotation", "symmetry_mask", "part_pixels", "marking_pixels"])
 @pytest.mark.parametrize("damage", [lambda index: index.change_offset(0, 0, 5), lambda index: index.change_count(-1)])
 def test_labels_whose_chunk_is_not_found_are_refused(shard, name, damage):
     damage(ChunkIndex(shard, name))

@@ -48,8 +48,21 @@ def test_an_item_is_the_sample_as_tensors(folder):
         assert np.array_equal(item["symmetry_mask"], sample.symmetry_mask)
         assert np.array_equal(item["segmentation"], sample.segmentation)
         assert (item["marking_pixels"], item["marking_visible"]) == (sample.marking_pixels, sample.marking_visible)
+        assert np.array_equal(item["part_pixels"], sample.part_pixels)
         assert item["index"] == index
     assert np.array_equal(chw.symmetry_group, sample.symmetry_group.astype(np.float32))
+
+
+def test_depth_is_in_items_where_it_is_asked_for(folder, tmp_path):
+    deep = make_set(tmp_path, test=4, size=16, depth=True)
+    batch = next(iter(DataLoader(SymsolDataset(deep, "test", depth=True), batch_size=4)))
+    for depth, sample in zip(batch["depth"], symsol_annot.load(deep), strict=True):
+        assert depth.dtype == torch.float32
+        assert np.array_equal(depth, sample.depth)
+        assert sample.depth.any()
+    assert "depth" not in SymsolDataset(deep, "test")[0]
+    with pytest.raises(SettingsError, match="has none; `symsol-annot render --depth` makes sets with it"):
+        SymsolDataset(folder, depth=True)
 
 
 def test_torchs_own_collate_stacks_items(folder):
@@ -61,6 +74,7 @@ def test_torchs_own_collate_stacks_items(folder):
         "symmetry_mask": ((8, 12), torch.bool),
         "marking_pixels": ((8,), torch.float64),
         "marking_visible": ((8,), torch.bool),
+        "part_pixels": ((8, 2), torch.float32),
     }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tampering
 from made_sets import make_set
-from tampering import ChunkIndex, flip_bit, flip_chunk, put, reseal
+from tampering import ChunkIndex, change_group, flip_bit, flip_chunk, put, reseal
 
 from symsol_annot.errors import DataError
 from symsol_annot.sets import verify as verify_module
@@ -219,6 +219,7 @@ def test_marking_pixels_that_are_no_area_are_found(tetX_set, area):
     with tampered(tetX_set) as shard:
         row = rows(shard, shown=area > 0)[-1]  # the sets are those of the area that the value stands for
         shard["marking_pixels"][row] = area
+        shard["part_pixels"][row, 1] = 0
     (fault,) = verify(tetX_set)
     assert fault == f"{SECOND}: marking_pixels: image {FIRST_INDEX + row}: is no area"
 
@@ -265,21 +266,20 @@ def test_set_of_a_body_without_marking_that_is_not_its_whole_group_is_found(tmp_
 
 def test_group_that_does_not_begin_with_the_identity_is_found(tetX_set):
     with tampered(tetX_set) as shard:
-        shard["symmetry_group"][...] = shard["symmetry_group"][...][::-1]
+        change_group(shard, lambda group: group[::-1])
     assert f"{SECOND}: symmetry_group: element 0 is not the identity" in verify(tetX_set)
 
 
 @pytest.mark.parametrize("spoil", [reflected, scaled, not_a_number])
 def test_group_element_that_is_no_rotation_is_found(tetX_set, spoil):
     with tampered(tetX_set) as shard:
-        shard["symmetry_group"][5] = spoil(shard["symmetry_group"][5])
+        change_group(shard, lambda group: np.concatenate([group[:5], spoil(group[5])[None], group[6:]]))
     assert f"{SECOND}: symmetry_group: element 5 is no rotation" in verify(tetX_set)
 
 
 def test_group_that_is_not_that_of_the_other_shards_is_found(tetX_set):
     with tampered(tetX_set) as shard:
-        group = shard["symmetry_group"][...]
-        shard["symmetry_group"][...] = np.concatenate([group[:1], group[:0:-1]])
+        change_group(shard, lambda group: np.concatenate([group[:1], group[:0:-1]]))
     assert [fault for fault in verify(tetX_set) if "symmetry_group" in fault]
 
 
@@ -341,7 +341,7 @@ def test_file_that_is_no_hdf5_under_a_shards_name_is_found(tetX_set):
     assert "cannot be read as HDF5" in fault
 
 
-@pytest.mark.parametrize("name", ["image", "segmentation", "rotation", "symmetry_group"])
+@pytest.mark.parametrize("name", ["image", "segmentation", "rotation", "part_pixels"])
 def test_chunk_that_hdf5_cannot_read_is_found(tetX_set, name):
     flip_chunk(tetX_set / SECOND, name)
     reseal(tetX_set)
@@ -379,7 +379,7 @@ def test_all_faults_of_a_set_are_reported_not_the_first(tetX_set):
         shard["rotation"][3] = 2 * shard["rotation"][3]
         shard["segmentation"][4] = 0
         shard["marking_pixels"][5] = -1
-        shard["symmetry_group"][6] = np.zeros((3, 3))
+        change_group(shard, lambda group: group * (np.arange(12) != 6)[:, None, None])
         shard["symmetry_mask"][7, 0] = False
         shard.attrs["seed"] = 1
     flip_bit(tetX_set / SHARDS[0], 10_000)

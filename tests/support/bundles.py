@@ -34,6 +34,7 @@ def assert_same(row, sample):
     assert row["index"] == sample.index
     assert np.float32(row["marking_pixels"]) == np.float32(sample.marking_pixels)
     assert row["marking_visible"] is sample.marking_visible
+    assert np.array_equal(np.float32(row["part_pixels"]), sample.part_pixels)
 
 
 def assert_all_same(rows, samples):

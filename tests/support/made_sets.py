@@ -16,10 +16,9 @@ from symsol_annot.sets.plan import SetPlan
 SIZE = 32
 
 
-def make_plan(name="tetX", train=0, test=40, seed=0, size=SIZE, annotate="test"):
-    return SetPlan(
-        load_object(name), {"train": train, "test": test}, seed, Camera.filling(size), RenderSettings(), annotate
-    )
+def make_plan(name="tetX", train=0, test=40, seed=0, size=SIZE, annotate="test", depth=False):
+    images, settings = {"train": train, "test": test}, RenderSettings(depth=depth)
+    return SetPlan(load_object(name), images, seed, Camera.filling(size), settings, annotate)
 
 
 def pixels_of(spec, R, renderer):
@@ -47,5 +46,6 @@ def on_images(call):
 def make_set(folder, name="tetX", workers=1, **plan):
     """Make a set with the numpy renderer; the folder of the set is returned."""
     made = make_plan(name, **plan)
-    generate(made, folder / name, threads(partial(NumpyRenderer, name, made.camera.width), workers=workers))
+    renderer = partial(NumpyRenderer, name, made.camera.width, has_depth=made.settings.depth)
+    generate(made, folder / name, threads(renderer, workers=workers))
     return folder / name

@@ -13,10 +13,14 @@ WEIGHTS = {(i, j): (2 - abs(i - 1)) * (2 - abs(j - 1)) for i in range(3) for j i
 
 
 class NumpyRenderer:
-    """Draws a built-in object in flat colours; `on_frame` is called before each frame, and may raise."""
+    """Draws a built-in object in flat colours; `on_frame` is called before each frame, and may raise.
 
-    def __init__(self, name, size=32, on_frame=lambda: None):
+    Its depths are made up: what is farther down lies nearer.
+    """
+
+    def __init__(self, name, size=32, on_frame=lambda: None, *, has_depth=False):
         self.name, self.size, self.on_frame, self.is_closed = name, size, on_frame, False
+        self.has_depth = has_depth
 
     @property
     def versions(self):
@@ -32,7 +36,9 @@ class NumpyRenderer:
         part_pixels = np.array(
             [np.count_nonzero(ids == part) / 4 for part in (1, 2)[: load_object(self.name).mesh.parts]]
         )
-        return View(((rgb + 8) // 16).astype(np.uint8), cast(self.name, R_m2c, self.size), part_pixels)
+        segmentation, rows = cast(self.name, R_m2c, self.size), np.arange(self.size)[:, None]
+        depth = np.where(segmentation > 0, 4.5 - rows / self.size, 0.0).astype(np.float32) if self.has_depth else None
+        return View(((rgb + 8) // 16).astype(np.uint8), segmentation, part_pixels, depth)
 
     def marking_pixels(self, R_m2c):
         counts = [np.count_nonzero(cast_samples(self.name, R, self.size) == 2) for R in R_m2c]

@@ -1,10 +1,11 @@
 """Files that are no shards by one fault each: how each is made, and the words of its refusal."""
 
+import hashlib
 import os
 
 import h5py
 import numpy as np
-from made_shards import COUNT, HEIGHT, LAYOUT, WIDTH
+from made_shards import COUNT, GROUP, HEIGHT, LAYOUT, PICTURES, WIDTH
 from tampering import put
 
 from symsol_annot.sets.shard.chunks import stored
@@ -36,7 +37,7 @@ def of_type(name, kind, values=None):
     def tamper(file, whole):
         values_there = file[name][...]
         del file[name]
-        chunks = values_there.shape if name not in ("image", "segmentation") else (1, *values_there.shape[1:])
+        chunks = values_there.shape if name not in PICTURES else (1, *values_there.shape[1:])
         plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         plist.set_chunk(chunks)
         plist.set_deflate(4)
@@ -131,28 +132,28 @@ def type_in_place_of_a_data_set(file, whole):
 
 
 def no_rows(file, whole):
-    for name in set(file) - {"symmetry_group"}:
+    for name in list(file):
         shape, dtype = file[name].shape, file[name].dtype
         del file[name]
         file.create_dataset(name, (0, *shape[1:]), dtype)
 
 
 def more_rows_than_memory(file, whole):
-    for name in set(file) - {"symmetry_group"}:
+    for name in list(file):
         rest = file[name].shape[1:]
         put(file, name, None, shape=(10**12, *rest), dtype=file[name].dtype, chunks=(1, *rest))
 
 
 def more_images_than_a_shard_has(file, whole):
-    for name in set(file) - {"symmetry_group"}:
+    for name in list(file):
         rest = file[name].shape[1:]
-        rows = 1 if name in ("image", "segmentation") else 501
+        rows = 1 if name in PICTURES else 501
         put(file, name, None, shape=(501, *rest), dtype=file[name].dtype, chunks=(rows, *rest))
 
 
-def group_larger_than_memory(file, whole):
-    del file["symmetry_mask"]
-    put(file, "symmetry_group", None, shape=(40_000_000, 3, 3), dtype="f8", chunks=(4096, 3, 3))
+def group_in_a_data_set(file, whole):
+    """As version 1 of the format has it."""
+    put(file, "symmetry_group", GROUP)
 
 
 def chunk_larger_than_memory(file, whole):
@@ -206,12 +207,12 @@ FOREIGN_FILES = {
     "virtual data set": (virtual, ["'image' is a virtual data set"]),
     "virtual data set without end": (virtual_without_end, ["'rotation' is a virtual data set"]),
     "extra data set": (extra_data_set, ["'thumbnail' is not part of the format"]),
-    "too many names": (too_many_names, ["holds 106 names at its root"]),
+    "too many names": (too_many_names, ["holds 107 names at its root"]),
     "group": (group_in_place_of_a_data_set, ["'rotation' is a group"]),
     "named type": (type_in_place_of_a_data_set, ["'rotation' is a named type"]),
     "more rows than memory": (more_rows_than_memory, ["'rotation'", "1000000000000", "1 to 500 rows"]),
     "more images than a shard has": (more_images_than_a_shard_has, ["'image'", "(501, 3, 3)", "1 to 500 rows"]),
-    "group larger than memory": (group_larger_than_memory, ["'symmetry_group'", "beyond the format's limits"]),
+    "group in a data set": (group_in_a_data_set, ["'symmetry_group' is not part of the format, version 2"]),
     "no rows": (no_rows, ["'rotation'", "(0, 3, 3)"]),
     "float32 labels": (replaced("rotation", dtype="f4"), ["'rotation'", "<f8", "<f4"]),
     "float64 areas": (replaced("marking_pixels", dtype="f8"), ["'marking_pixels'", "<f4", "<f8"]),
@@ -312,5 +313,83 @@ FOREIGN_FILES = {
     ),
     "chunk larger than memory": (chunk_larger_than_memory, ["'rotation': expected all rows in one chunk"]),
     "a chunk for each truth value": (a_chunk_for_each_truth_value, ["'symmetry_mask': expected all rows in one chunk"]),
-    **{f"no {name}": (without(name), [f"{name!r} is missing"]) for name in LAYOUT if name != "symmetry_mask"},
+    "another count of parts": (replaced("part_pixels", data=np.ones((COUNT, 3), "f4")), ["'part_pixels'", "(5, 3)"]),
+    "float64 depth": (replaced("depth", dtype="f8"), ["'depth'", "expected <f4"]),
+    "all depths in a chunk": (
+        replaced("depth", chunks=(COUNT, HEIGHT, WIDTH)),
+        ["'depth': expected one row per chunk, found (5, 12, 16)"],
+    ),
+    **{
+        f"no {name}": (without(name), [f"{name!r} is missing"])
+        for name in LAYOUT
+        if name not in ("symmetry_mask", "depth")
+    },
+}
+
+
+def group_as(values, **options):
+    """A tampering: the group's attribute of other values, type or shape."""
+
+    def tamper(file, whole):
+        del file.attrs["symmetry_group"]
+        file.attrs.create("symmetry_group", values, **options)
+        file.attrs["symmetry_group_sha256"] = hashlib.sha256(np.asarray(values).tobytes()).hexdigest()
+
+    return tamper
+
+
+def group_of_type(kind, shape=GROUP.shape):
+    """A tampering: the group's attribute of a type that h5py has no word for."""
+
+    def tamper(file, whole):
+        del file.attrs["symmetry_group"]
+        h5py.h5a.create(file.id, b"symmetry_group", kind, h5py.h5s.create_simple(shape)).write(GROUP, mtype=kind)
+
+    return tamper
+
+
+def flipped_bit_of_the_group(file, whole):
+    group = GROUP.copy()
+    group[-1, -1, -1] = np.nextafter(1.0, 2.0)
+    file.attrs["symmetry_group"] = group
+
+
+def group_of_references(file, whole):
+    del file.attrs["symmetry_group"]
+    file.attrs.create("symmetry_group", np.array([file.ref] * 3, dtype=h5py.ref_dtype), dtype=h5py.ref_dtype)
+
+
+_OTHER_BYTES = "an array in another order of bytes or bits, where an array belongs"
+FOREIGN_GROUPS = {
+    "float32": (group_as(GROUP.astype("f4")), "expected <f8 of shape (G, 3, 3), found <f4 of shape (4, 3, 3)"),
+    "whole numbers": (group_as(GROUP.astype("i8")), "expected <f8 of shape (G, 3, 3), found <i8 of shape (4, 3, 3)"),
+    "half precision": (group_as(GROUP.astype("f2")), "found <f2"),
+    "big-endian": (group_as(GROUP.astype(">f8")), _OTHER_BYTES),
+    "float of other fields": (
+        group_of_type(a_float(lambda kind: kind.set_fields(63, 51, 12, 0, 51))),
+        _OTHER_BYTES,
+    ),
+    "float of another bias": (group_of_type(a_float(lambda kind: kind.set_ebias(1000))), _OTHER_BYTES),
+    "one rotation": (group_as(GROUP[0]), "found <f8 of shape (3, 3)"),
+    "rows of nine": (group_as(GROUP.reshape(-1, 9)), "found <f8 of shape (4, 9)"),
+    "two columns": (group_as(GROUP[:, :, :2]), "found <f8 of shape (4, 3, 2)"),
+    "another axis": (group_as(GROUP[None]), "found <f8 of shape (1, 4, 3, 3)"),
+    "five axes": (group_as(GROUP[None, None]), "an array of shape (1, 1, 4, 3, 3)"),
+    "a number": (group_as(1.0), "a number, where an array belongs"),
+    "a text": (group_as("identity"), "a string, where an array belongs"),
+    "texts": (group_as(["a", "b"], dtype=h5py.string_dtype()), "an array of strings"),
+    "booleans": (group_as(GROUP > 0), "an array of enumerations or booleans"),
+    "complex numbers": (group_as(GROUP.astype("c16")), "an array of compounds"),
+    "references": (group_of_references, "an array of references"),
+    "opaque bytes": (group_as(np.zeros(3, "V8")), "an array of opaque bytes"),
+    "array type": (
+        group_of_type(h5py.h5t.array_create(h5py.h5t.IEEE_F64LE, (3, 3)), shape=(4,)),
+        "an array of array types",
+    ),
+    "nothing": (group_as(h5py.Empty("f8")), "empty, where an array belongs"),
+    "no rotation": (group_as(np.zeros((0, 3, 3))), "an array of shape (0, 3, 3)"),
+    "more than can be": (group_as(np.zeros((7201, 3, 3))), "expected 1 to 7200 symmetries, found 7201"),
+    "more than is read": (group_as(np.zeros((2**16, 3, 3))), "an array of shape (65536, 3, 3), of which 524288 bytes"),
+    "a flipped bit": (flipped_bit_of_the_group, "is damaged: it does not have the digest in 'symmetry_group_sha256'"),
+    "another count than the masks'": (group_as(GROUP[:3]), "'symmetry_mask': expected |b1 of shape (5, 3)"),
 }

@@ -13,8 +13,7 @@ def expected_samples(folder, split="test"):
     samples = []
     for path in sorted(folder.glob(f"{split}-*.h5")):
         with h5py.File(path) as file:
-            arrays = {name: file[name][...] for name in file}
-        group = arrays.pop("symmetry_group")
+            arrays, group = {name: file[name][...] for name in file}, file.attrs["symmetry_group"]
         rows = range(len(arrays["image"]))
         samples += [{"symmetry_group": group, **{name: values[row] for name, values in arrays.items()}} for row in rows]
     return samples
@@ -24,7 +23,7 @@ def assert_is(sample, index, expected):
     """Check each field of a sample against what h5py read."""
     assert isinstance(sample, Sample)
     assert sample.index == index
-    for name in ("image", "segmentation", "rotation", "symmetry_group"):
+    for name in ("image", "segmentation", "rotation", "symmetry_group", "part_pixels"):
         found = getattr(sample, name)
         assert found.dtype == expected[name].dtype
         np.testing.assert_array_equal(found, expected[name])

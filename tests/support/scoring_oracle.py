@@ -153,7 +153,7 @@ class TruthOracle:
         for path in sorted(folder.glob(f"{split}-*.h5")):
             with h5py.File(path) as f:
                 assert f.attrs["first_index"] == len(self.rotation)
-                self.group = f["symmetry_group"][()]
+                self.group = f.attrs["symmetry_group"]
                 camera, tolerance = json.loads(f.attrs["camera"]), float(f.attrs["tolerance_px"])
                 self.is_marked = not math.isnan(tolerance)
                 barely = 20 * camera["width"] * camera["height"] / 224**2

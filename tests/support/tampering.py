@@ -12,10 +12,11 @@ import numpy as np
 
 from symsol_annot.sets.manifest import read_manifest, write_manifest
 
-IN_DIGEST = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask", "symmetry_group")
-ROW_PER_CHUNK = ("image", "segmentation")
+GROUP = "symmetry_group"  # an attribute, and in version 1 of the format a data set
+IN_DIGEST = ("image", "segmentation", "depth", "rotation", "marking_pixels", "part_pixels", "symmetry_mask", GROUP)
+ROW_PER_CHUNK = ("image", "segmentation", "depth")
 _MOST_BYTES = 2**27  # of an array that is read for its digest
-_UNREADABLE = (OSError, KeyError, TypeError, ValueError, RuntimeError)
+_UNREADABLE = (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError)
 
 
 def content_by_h5py(path):
@@ -28,6 +29,9 @@ def content_by_h5py(path):
                     return None
                 digest.update(f"{name} {shard[name].dtype.str} {shard[name].shape}\n".encode())
                 digest.update(shard[name][...].tobytes())
+            if GROUP in shard.attrs:
+                group = shard.attrs[GROUP]
+                digest.update(f"{GROUP} {group.dtype.str} {group.shape}\n".encode() + group.tobytes())
     except _UNREADABLE:
         return None
     return digest.hexdigest()
@@ -74,6 +78,13 @@ def put(shard, name, values, **options):
     rows = 1 if name in ROW_PER_CHUNK else shape[0]
     stored = {"chunks": (rows, *shape[1:]), "compression": "gzip", "fletcher32": True, "track_times": False}
     shard.create_dataset(name, data=values, **{**stored, **options})
+
+
+def change_group(shard, change):
+    """Put what `change` makes of the symmetry group of an open shard in its stead, with the digest of that."""
+    group = np.ascontiguousarray(change(shard.attrs[GROUP]))
+    shard.attrs[GROUP] = group
+    shard.attrs[f"{GROUP}_sha256"] = hashlib.sha256(group).hexdigest()
 
 
 def flip_bit(path, bit):
@@ -176,5 +187,5 @@ def marked(folder, row, pixels):
     with tampered(folder, "test-00001-of-00003.h5") as file:
         shown = file["marking_pixels"][...] >= 5.0
         stabiliser, free = file["symmetry_mask"][int(np.argmax(shown))], file["symmetry_mask"][int(np.argmin(shown))]
-        file["marking_pixels"][row] = pixels
+        file["marking_pixels"][row] = file["part_pixels"][row, 1] = pixels
         file["symmetry_mask"][row] = stabiliser if pixels >= 5.0 else free

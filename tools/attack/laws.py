@@ -21,9 +21,14 @@ def check_labels(labels, *, has_marking):
     pixels = labels.marking_pixels
     _require(pixels.shape == (images,), "marking_pixels: not one per image")
     _require(not has_marking or bool(np.all(np.isfinite(pixels) & (pixels >= 0))), "marking_pixels: no area")
+    parts = labels.part_pixels
+    if parts is not None:
+        _require(parts.shape == (images, 2 if has_marking else 1), f"part_pixels: of shape {parts.shape}")
+        _require(bool(np.all(np.isfinite(parts) & (parts >= 0))), "part_pixels: no area")
+        _require(not has_marking or bool(np.all(parts[:, 1] <= pixels)), "part_pixels: larger than marking_pixels")
 
 
-def check_sample(sample, image_size):
+def check_sample(sample, image_size, parts):
     """Raise a SilentError where a sample is none that a set can have."""
     width, height = image_size
     _require(sample.image.shape == (height, width, 3) and sample.image.dtype == np.uint8, "image: another shape")
@@ -31,6 +36,10 @@ def check_sample(sample, image_size):
     if sample.segmentation is not None:
         _require(sample.segmentation.shape == (height, width), "segmentation: another shape")
         _require(sample.segmentation.max() <= 2, "segmentation: an id that there is not")
+    if sample.depth is not None:
+        _require(sample.depth.shape == (height, width) and sample.depth.dtype == np.float32, "depth: another shape")
+    if sample.part_pixels is not None:
+        _require(sample.part_pixels.shape == (parts,), "part_pixels: another count of parts")
     if sample.symmetry_mask is not None:
         _require(bool(sample.symmetry_mask[0]), "symmetry_mask: a set lacks R_gt")
         check_group(sample.symmetry_group)

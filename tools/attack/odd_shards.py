@@ -1,4 +1,4 @@
-"""Shards written anew with h5py, with what no shard of ours has: links, storage, filters, types, shapes, values."""
+"""Shards written anew with h5py, with what no shard of ours has: links, storage, filters, types, shapes, attributes."""
 
 import contextlib
 import os
@@ -8,8 +8,9 @@ import h5py
 import numpy as np
 
 from attack.damage import ODD_VALUES
+from attack.odd_values import VALUES, taken
+from attack.signing import sign_group
 
-_MOST_ROWS = 7000
 _COMPRESSED = {"compression": "gzip", "fletcher32": True, "track_times": False}
 _OLD = ("earliest", "v108")
 WRITE_ERRORS = (OSError, ValueError, TypeError, KeyError, RuntimeError, OverflowError)  # what h5py will not write
@@ -35,6 +36,8 @@ def rewrite(path, place, rng):
                 with contextlib.suppress(*WRITE_ERRORS):  # what cannot be written is left
                     change(file, place, rng)
                     done.append(change.__name__)
+            with contextlib.suppress(*WRITE_ERRORS):
+                sign_group(file)
         beside.rename(path)
     finally:
         whole.unlink()
@@ -48,23 +51,9 @@ def _any(file, rng):
 
 
 def _labels(file, rng):
-    names = [name for name in ("rotation", "symmetry_group", "symmetry_mask", "marking_pixels") if name in file]
+    labels = ("rotation", "symmetry_group", "symmetry_mask", "marking_pixels", "part_pixels")
+    names = [name for name in labels if name in file]
     return names[rng.integers(len(names))]
-
-
-def _taken(file, name):
-    """Take a data set out of a file; return its values."""
-    values = _values(file, name)
-    del file[name]
-    return values
-
-
-def _values(file, name):
-    """Return a data set's values, of no more rows than memory has room for: an earlier change may have added some."""
-    found = file[name]
-    if not isinstance(found, h5py.Dataset):
-        raise TypeError(f"{name} is no data set any more")
-    return found[:_MOST_ROWS] if found.shape else found[...]
 
 
 # Storage
@@ -72,7 +61,7 @@ def _values(file, name):
 
 def other_storage(file, place, rng):
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     ways = (
         {},
         {"chunks": True},
@@ -90,7 +79,7 @@ def other_storage(file, place, rng):
 
 def compact_storage(file, place, rng):
     name = _labels(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plist.set_layout(h5py.h5d.COMPACT)
     space, kind = h5py.h5s.create_simple(values.shape), h5py.h5t.py_create(values.dtype)
@@ -100,7 +89,7 @@ def compact_storage(file, place, rng):
 def chunk_with_other_filters(file, place, rng):
     """A chunk says that some of its filters were not applied."""
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     rows = file.create_dataset(name, values.shape, values.dtype, chunks=values.shape, **_COMPRESSED)
     data = np.ascontiguousarray(values).tobytes()
     mask = int(rng.choice([1, 2, 3, 7, 2**32 - 1]))
@@ -110,7 +99,7 @@ def chunk_with_other_filters(file, place, rng):
 def chunk_of_another_size(file, place, rng):
     """A chunk inflates to fewer bytes than it should, or to a thousand times as many."""
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     rows = file.create_dataset(name, values.shape, values.dtype, chunks=values.shape, compression="gzip")
     data = np.ascontiguousarray(values).tobytes()
     data = data[: len(data) // 2] if rng.random() < 0.5 else data + bytes(min(1000 * len(data), 2**26))
@@ -119,7 +108,7 @@ def chunk_of_another_size(file, place, rng):
 
 def missing_chunk(file, place, rng):
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     file.create_dataset(name, values.shape, values.dtype, chunks=(1, *values.shape[1:]), **_COMPRESSED)
     for row in np.flatnonzero(rng.random(len(values)) < 0.5):
         file[name][row] = values[row]
@@ -127,7 +116,7 @@ def missing_chunk(file, place, rng):
 
 def filter_without_a_name(file, place, rng):
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plist.set_chunk(values.shape)
     plist.set_filter(int(rng.choice([4, 5, 6, 305, 32000, 32015])), h5py.h5z.FLAG_OPTIONAL, (1, 2, 3))
@@ -159,7 +148,7 @@ def one_for_another(file, place, rng):
 
 def stored_elsewhere(file, place, rng):
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     canary = str(place.outside / "canary.h5")
     file.create_dataset(name, values.shape, values.dtype, external=[(canary, 0, h5py.h5f.UNLIMITED)])
 
@@ -167,7 +156,7 @@ def stored_elsewhere(file, place, rng):
 def virtual(file, place, rng):
     """A virtual data set; the shape of one without end is asked for in the other file."""
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     other = str(place.outside / "canary.h5")
     if rng.random() < 0.3:
         other = place.case / "fifo"
@@ -192,7 +181,7 @@ def cyclic_groups(file, place, rng):
 def other_type(file, place, rng):
     name = _any(file, rng)
     kinds = ("<f4", ">f8", "<f2", "g", "i1", ">i4", "u8", "S8", "c16", "V4")
-    values = _taken(file, name)
+    values = taken(file, name)
     with np.errstate(all="ignore"):
         file.create_dataset(name, data=values.astype(kinds[rng.integers(len(kinds))]))
 
@@ -216,7 +205,7 @@ def strange_type(file, place, rng):
 
 def committed_type(file, place, rng):
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     file["kind"] = values.dtype
     file.create_dataset(name, data=values, dtype=file["kind"])
 
@@ -238,7 +227,7 @@ def no_data_set(file, place, rng):
 
 def other_shape(file, place, rng):
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     shapes = (values[:-1], values[:0], values[None], values.reshape(-1), values.T, np.concatenate([values, values]))
     file.create_dataset(name, data=shapes[rng.integers(len(shapes))], chunks=True, **_COMPRESSED)
 
@@ -246,7 +235,7 @@ def other_shape(file, place, rng):
 def huge_shape(file, place, rng):
     """Rows for all memory there is, of which none is in the file."""
     name = _any(file, rng)
-    values = _taken(file, name)
+    values = taken(file, name)
     count = int(rng.choice([7000, 2**20, 2**31, 2**40]))
     chunk = (int(rng.choice([1, 64, 2**20])), *values.shape[1:])
     file.create_dataset(name, (count, *values.shape[1:]), values.dtype, chunks=chunk, **_COMPRESSED)
@@ -257,67 +246,11 @@ def huge_everywhere(file, place, rng):
     count = int(rng.choice([7000, 2**20, 2**31]))
     for name in list(file):
         if name != "symmetry_group" and isinstance(file[name], h5py.Dataset):
-            values = _taken(file, name)
+            values = taken(file, name)
             file.create_dataset(name, (count, *values.shape[1:]), values.dtype, chunks=(1, *values.shape[1:]))
 
 
-# Values
-
-
-def wrong_rotations(file, place, rng):
-    name = str(rng.choice(["rotation", "symmetry_group"]))
-    R = _values(file, name)
-    at = int(rng.integers(len(R)))
-    R[at] = [np.nan * R[at], 0 * R[at], -R[at], 2 * R[at], R[at] + 1e-3, np.diag([1.0, 1.0, -1.0])][rng.integers(6)]
-    del file[name]
-    file.create_dataset(name, data=R, chunks=R.shape, **_COMPRESSED)
-
-
-def no_group(file, place, rng):
-    """Rotations of which the first is the identity, and no more."""
-    group = _taken(file, "symmetry_group")
-    for at in range(1, len(group)):
-        q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        group[at] = q * np.sign(np.linalg.det(q))
-    if rng.random() < 0.3 and len(group) > 1:
-        group = np.roll(group, 1, axis=0)
-    file.create_dataset("symmetry_group", data=group, chunks=group.shape, **_COMPRESSED)
-
-
-def wrong_masks(file, place, rng):
-    mask = _taken(file, "symmetry_mask")
-    at = int(rng.integers(len(mask)))
-    kind = rng.integers(3)
-    if kind == 0:
-        mask[at, 0] = False
-    elif kind == 1:
-        mask[at] = False
-    else:
-        mask[:] = False
-    file.create_dataset("symmetry_mask", data=mask, chunks=mask.shape, **_COMPRESSED)
-
-
-def masks_of_other_bytes(file, place, rng):
-    """Truth values that are neither 0 nor 1."""
-    mask = file["symmetry_mask"]
-    if mask.chunks:
-        data = rng.integers(0, 256, mask.chunks, dtype=np.uint8).tobytes()
-        raw = zlib.compress(data)
-        mask.id.write_direct_chunk((0,) * mask.ndim, raw, 2)
-
-
-def wrong_pixels(file, place, rng):
-    name = "marking_pixels"
-    pixels = _values(file, name)
-    pixels[rng.integers(len(pixels))] = [np.nan, np.inf, -1.0, 1e30, 1e-40][rng.integers(5)]
-    del file[name]
-    file.create_dataset(name, data=pixels, chunks=pixels.shape, **_COMPRESSED)
-
-
-def wrong_ids(file, place, rng):
-    ids = _taken(file, "segmentation")
-    ids[rng.integers(len(ids))] = int(rng.choice([0, 3, 255]))
-    file.create_dataset("segmentation", data=ids, chunks=(1, *ids.shape[1:]), **_COMPRESSED)
+# Other data sets
 
 
 def without_a_data_set(file, place, rng):
@@ -415,13 +348,7 @@ CHANGES = (
     other_shape,
     huge_shape,
     huge_everywhere,
-    wrong_rotations,
-    wrong_rotations,
-    no_group,
-    wrong_masks,
-    masks_of_other_bytes,
-    wrong_pixels,
-    wrong_ids,
+    *VALUES,
     without_a_data_set,
     another_data_set,
     odd_attribute,

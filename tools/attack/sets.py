@@ -1,4 +1,7 @@
-"""The sets that are attacked, made once with the ray caster: with and without a marking, rendered and imported."""
+"""The sets that are attacked: with and without a marking or depth, rendered and imported, of each format version.
+
+Those of the newest are made once with the ray caster; of version 1, which nothing writes any more, some are kept.
+"""
 
 import shutil
 from pathlib import Path
@@ -9,7 +12,8 @@ import numpy as np
 
 from attack.signing import read_document
 
-LABELS = ("rotation", "symmetry_mask", "marking_pixels")
+LABELS = ("rotation", "symmetry_mask", "marking_pixels", "part_pixels")
+_VERSION_1 = Path(__file__).parents[2] / "tests" / "data" / "format_1"
 
 
 class Original(NamedTuple):
@@ -50,6 +54,9 @@ def make_sets(folder):
     make_set(folder / "rendered", "tetX", train=6, test=20, size=16)
     make_set(folder / "rendered", "tet", test=6, size=16)
     small_set(folder / "rendered", "cylO", images=6)
+    make_set(folder / "deep", "tetX", test=6, size=16, depth=True)
+    for kept in _VERSION_1.glob("*/*"):
+        shutil.copytree(kept, folder / f"{kept.parent.name} of version 1" / kept.name)
     files, _ = symsol_source.content(("tet", "cyl", "tetX"), counts={"train": 2, "test": 4})
     list(import_symsol(symsol_source.write_zip(folder / "symsol.zip", files), folder / "imported", ()))
 
@@ -74,7 +81,7 @@ def _original(folder):
     columns, group = {}, None
     for path in sorted(folder.glob(f"{split}-*.h5")):
         with h5py.File(path, "r") as file:
-            group = file["symmetry_group"][...]
+            group = file["symmetry_group"][...] if "symmetry_group" in file else file.attrs["symmetry_group"]
             for name in file:
                 if name != "symmetry_group":
                     columns.setdefault(name, []).append(file[name][...])

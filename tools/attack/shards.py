@@ -8,7 +8,7 @@ from attack import laws, odd_shards
 from attack.commands import outcome_of_command
 from attack.hdf5_fields import damage_fields, fields_of, with_right_checksums
 from attack.kinds import READING_SETS, Attempt, Kind
-from attack.sets import put_set, read_originals
+from attack.sets import LABELS, put_set, read_originals
 from attack.signing import read_document, sign
 
 _ROWS = 8  # read one by one
@@ -104,7 +104,7 @@ def _hold_labels(dataset, original, *, is_signed):
     if is_signed:
         laws.check_labels(labels, has_marking=dataset.has_marking)
         return
-    for name in ("rotation", "symmetry_mask", "marking_pixels"):
+    for name in LABELS:
         if name in original.columns:
             laws.check_same(getattr(labels, name), original.columns[name], name)
     laws.check_same(labels.symmetry_group, original.group, "symmetry_group")
@@ -115,9 +115,9 @@ def _hold_samples(dataset, original, *, is_signed):
     for i in dict.fromkeys([*range(min(count, _ROWS)), count - 1]):
         sample = dataset[i]
         if is_signed:
-            laws.check_sample(sample, dataset.image_size)
+            laws.check_sample(sample, dataset.image_size, len(dataset.parts))
             continue
-        for name in ("image", "segmentation", "rotation", "symmetry_mask", "marking_pixels"):
+        for name in ("image", "segmentation", "depth", *LABELS):
             found = getattr(sample, name)
             if name in original.columns:
                 laws.check_same(found, original.columns[name][i], f"{name} of image {i}")

@@ -11,7 +11,8 @@ import numpy as np
 from attack.damage import json_bytes, nested_deeply
 
 _SECONDS, _MEMORY_BYTES = 5, 2**31
-_IN_DIGEST = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask", "symmetry_group")
+_GROUP = "symmetry_group"  # a data set in version 1
+_IN_DIGEST = ("image", "segmentation", "depth", "rotation", "marking_pixels", "part_pixels", "symmetry_mask", _GROUP)
 _MADE_FROM = ("object", "object_sha256", "seed", "camera")
 
 
@@ -38,6 +39,12 @@ def sign(folder, document, *, contents=True):
     document.pop("manifest_sha256", None)
     document["manifest_sha256"] = _sha256_of_json(document)
     (folder / "manifest.json").write_bytes(json_bytes(document))
+
+
+def sign_group(file):
+    """Give the group of an open shard its digest, where it is an attribute."""
+    if _GROUP in file.attrs:
+        file.attrs[f"{_GROUP}_sha256"] = hashlib.sha256(np.asarray(file.attrs[_GROUP]).tobytes()).hexdigest()
 
 
 def content_sha256(path):
@@ -68,6 +75,9 @@ def _digest(path):
                 digest.update(f"{name} {column.dtype.str} {column.shape}\n".encode())
                 for start in range(0, len(column), 64):
                     digest.update(np.ascontiguousarray(column[start : start + 64]).tobytes())
+        if _GROUP in file.attrs:
+            group = np.asarray(file.attrs[_GROUP])
+            digest.update(f"{_GROUP} {group.dtype.str} {group.shape}\n".encode() + group.tobytes())
     return digest.hexdigest()
 
 

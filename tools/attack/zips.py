@@ -81,7 +81,7 @@ def import_and_hold(path, out, *, by_command):
             if dataset.is_annotated:
                 laws.check_labels(dataset.labels(), has_marking=False)
             for sample in dataset:
-                laws.check_sample(sample, dataset.image_size)
+                laws.check_sample(sample, dataset.image_size, len(dataset.parts))
     return outcome
 
 

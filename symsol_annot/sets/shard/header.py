@@ -1,4 +1,4 @@
-"""What a shard says of itself: its file's name, its attributes, and the names of its data sets."""
+"""What a shard says of itself: its file's name, and its attributes but for the symmetry group."""
 
 import json
 import math
@@ -6,36 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from symsol_annot.sets.settings import ImportedSettings, RenderedSettings, SetSettings
+from symsol_annot.sets.shard.layout import LAYOUTS, NEWEST
 
 SHARD_FORMAT = "symsol-annot shard"
-SHARD_FORMAT_VERSION = 1
-IMAGE_DATASETS = ("image", "segmentation", "rotation", "marking_pixels", "symmetry_mask")  # one row per image
-GROUP = "symmetry_group"  # one for all images
-ROW_PER_CHUNK = ("image", "segmentation")  # of the others, all rows are one chunk
-DATASETS_NOT_IMPORTED = ("segmentation", "marking_pixels")
-_ATTRIBUTES_NOT_IMPORTED = (
-    *("object_sha256", "seed", "render", "engine", "tolerance_px"),
-    *("candidates_drawn", "candidates_within_tolerance"),
-)
 MAX_IMAGES_PER_SHARD = 500
-_ATTRIBUTES = {
-    "format": "text",
-    "format_version": "whole",
-    "object": "text",
-    "object_sha256": "text",
-    "split": "text",
-    "first_index": "whole",
-    "seed": "whole",
-    "camera": "text",
-    "render": "text",
-    "engine": "text",
-    "tolerance_px": "real",
-    "versions": "text",
-    "candidates_drawn": "whole",
-    "candidates_within_tolerance": "whole",
-}
-_SOURCE = {"source": "text"}
-ALL_ATTRIBUTES = {**_ATTRIBUTES, **_SOURCE}  # name to kind, of rendered and imported shards
 
 
 @dataclass(frozen=True)
@@ -47,17 +21,19 @@ class ShardHeader:
         split: "train" or "test".
         first_index: the index within the split of the shard's first image.
         versions: the software that decides the bytes: name to version.
+        format_version: of the shard's format, one of `LAYOUTS`.
     """
 
     settings: SetSettings
     split: str
     first_index: int
     versions: dict[str, str]
+    format_version: int = NEWEST
 
     def to_attributes(self) -> dict[str, Any]:
         """Return the HDF5 attributes, in the order in which they are written; what is not known has none."""
         settings = self.settings
-        start = {"format": SHARD_FORMAT, "format_version": SHARD_FORMAT_VERSION, "object": settings.object}
+        start = {"format": SHARD_FORMAT, "format_version": self.format_version, "object": settings.object}
         place = {"split": self.split, "first_index": self.first_index}
         versions = {"versions": _as_text(self.versions)}
         if isinstance(settings, ImportedSettings):
@@ -72,14 +48,8 @@ class ShardHeader:
             "engine": settings.render.engine,
             "tolerance_px": math.nan if settings.tolerance_px is None else settings.tolerance_px,
         }
-        return {**start, "object_sha256": settings.object_sha256, **place, **drawing, **versions}
-
-
-def attribute_kinds(*, is_imported: bool) -> dict[str, str]:
-    """Return the attributes that a shard has, with their kinds: "text", "whole" or "real"."""
-    if not is_imported:
-        return dict(_ATTRIBUTES)
-    return {name: kind for name, kind in _ATTRIBUTES.items() if name not in _ATTRIBUTES_NOT_IMPORTED} | _SOURCE
+        parts = {"parts": json.dumps(settings.parts)} if "parts" in LAYOUTS[self.format_version].rendered else {}
+        return {**start, "object_sha256": settings.object_sha256, **place, **drawing, **parts, **versions}
 
 
 def shard_file_name(split: str, number: int, shards: int) -> str:
@@ -88,7 +58,7 @@ def shard_file_name(split: str, number: int, shards: int) -> str:
 
 
 def content_heading(name: str, dtype: str, shape: tuple[int, ...]) -> bytes:
-    """Return what precedes the values of a data set in the digest of a shard's contents."""
+    """Return what precedes the values of a data set or an array in the digest of a shard's contents."""
     return f"{name} {dtype} {shape}\n".encode()
 
 

@@ -10,12 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import first_of
+from symsol_annot.rendering.renderer import MARKING
 from symsol_annot.rotations.group_laws import check_group, right_products
 from symsol_annot.rotations.so3 import ORTHONORMAL_TOLERANCE, rotation_deviation
 from symsol_annot.sets.shard.reader import Shard, ShardLabels
 
 Flags = npt.NDArray[np.bool_]
+Images = Callable[[Flags], str]
 _LISTED_ROWS = 5
+_ROUNDING = 1e-6  # of sums of float32
 _PRODUCT_TOLERANCE = 1e-6
 _IMPORTED_PRODUCT_TOLERANCE = 2e-4  # whose groups come from float32
 
@@ -34,11 +37,7 @@ def label_faults(shard: Shard, labels: ShardLabels) -> Iterator[str]:
     no_rotation = ~(rotation_deviation(labels.rotation) <= ORTHONORMAL_TOLERANCE)
     if no_rotation.any():
         yield f"rotation: {images(no_rotation)}: is no rotation (R^T R = I, det R = 1 to {ORTHONORMAL_TOLERANCE:g})"
-    if labels.marking_pixels is not None:
-        pixels = labels.marking_pixels
-        no_area = ~(np.isfinite(pixels) & (pixels >= 0))
-        if no_area.any():
-            yield f"marking_pixels: {images(no_area)}: is no area"
+    yield from _area_faults(shard, labels, images)
     tolerance = _IMPORTED_PRODUCT_TOLERANCE if shard.is_imported else _PRODUCT_TOLERANCE
     faults = check_group(labels.symmetry_group, tolerance).faults
     yield from (f"symmetry_group: {fault}" for fault in faults)
@@ -51,8 +50,29 @@ def label_faults(shard: Shard, labels: ShardLabels) -> Iterator[str]:
         yield from _mask_faults(labels, labels.symmetry_mask, shard.tolerance_px, tolerance, images)
 
 
+def _area_faults(shard: Shard, labels: ShardLabels, images: Images) -> Iterator[str]:
+    """Yield which areas no image can have."""
+    marking, parts = labels.marking_pixels, labels.part_pixels
+    if marking is not None:
+        no_area = ~(np.isfinite(marking) & (marking >= 0))
+        if no_area.any():
+            yield f"marking_pixels: {images(no_area)}: is no area"
+    if marking is None or parts is None:
+        return
+    no_area = ~(np.isfinite(parts) & (parts >= 0)).all(axis=1)
+    if no_area.any():
+        yield f"part_pixels: {images(no_area)}: is no area"
+        return
+    too_large = parts.sum(axis=1, dtype=np.float64) > shard.most_pixels * (1 + _ROUNDING)
+    if too_large.any():
+        yield f"part_pixels: {images(too_large)}: is more than the {shard.most_pixels:g} pixels of an image"
+    too_small = (marking >= 0) & (marking < parts[:, MARKING - 1]) if parts.shape[1] >= MARKING else np.zeros(0, bool)
+    if too_small.any():
+        yield f"marking_pixels: {images(too_small)}: is less than the marking's part_pixels"
+
+
 def _mask_faults(
-    labels: ShardLabels, mask: Flags, tolerance_px: float, product_tolerance: float, images: Callable[[Flags], str]
+    labels: ShardLabels, mask: Flags, tolerance_px: float, product_tolerance: float, images: Images
 ) -> Iterator[str]:
     """Yield why sets, each with its R_gt, are not the one rule's over a group."""
     if labels.marking_pixels is None or math.isnan(tolerance_px):

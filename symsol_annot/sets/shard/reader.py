@@ -21,16 +21,13 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DamageError, DataError, bulleted
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import SAMPLES_PER_AXIS
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.shard.chunks import ByteFile, StoredArray
-from symsol_annot.sets.shard.header import (
-    ALL_ATTRIBUTES,
-    GROUP,
-    IMAGE_DATASETS,
-    ROW_PER_CHUNK,
-    content_heading,
-)
-from symsol_annot.sets.shard.structure import shown, structure_of
+from symsol_annot.sets.shard.header import content_heading
+from symsol_annot.sets.shard.layout import ALL_ATTRIBUTES, GROUP, LAYOUTS, ShardLayout
+from symsol_annot.sets.shard.structure import parts_stated, shown, structure_of
 from symsol_annot.system.sandbox.hdf5_process import Description, Hdf5Process, Limits
 
 _LIMITS = Limits(seconds=60.0, processor_seconds=2.0, memory_bytes=2**30)  # a good shard takes 0.01 s
@@ -44,12 +41,14 @@ class ShardLabels:
         rotation: (N, 3, 3) f8, R_m2c.
         symmetry_group: (G, 3, 3) f8, the body's symmetries.
         marking_pixels: (N,) f4, the marking's visible area in pixels; None in an imported shard.
+        part_pixels: (N, P) f4, the visible area of each part in pixels; None in an imported shard and in version 1.
         symmetry_mask: (N, G) bool, which of the symmetries are in each image's set; None without symmetry sets.
     """
 
     rotation: Rotations
     symmetry_group: Rotations
     marking_pixels: npt.NDArray[np.float32] | None
+    part_pixels: npt.NDArray[np.float32] | None
     symmetry_mask: npt.NDArray[np.bool_] | None
 
 
@@ -60,17 +59,24 @@ class Shard:
     Attributes:
         path: of the file.
         file: of its bytes.
-        attributes: as docs/format.md lists them.
+        attributes: as docs/format.md lists them, but for arrays.
+        array_attributes: those that are arrays.
         arrays: data sets by name.
     """
 
     path: Path
     file: ByteFile
     attributes: Mapping[str, Any]
+    array_attributes: Mapping[str, npt.NDArray[Any]]
     arrays: Mapping[str, StoredArray]
 
     def __len__(self) -> int:
         return self.arrays["rotation"].shape[0]
+
+    @property
+    def layout(self) -> ShardLayout:
+        """What its version of the format has."""
+        return LAYOUTS[self.attributes["format_version"]]
 
     @property
     def is_imported(self) -> bool:
@@ -103,6 +109,22 @@ class Shard:
         return int(self.attributes.get("candidates_within_tolerance", 0))
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """The names of the parts, the first of id 1; none in an imported shard."""
+        if self.is_imported:
+            return ()
+        if "parts" in self.layout.rendered:
+            return parts_stated(self.attributes["parts"])
+        return ("body",) if math.isnan(self.tolerance_px) else ("body", "marking")
+
+    @property
+    def most_pixels(self) -> float:
+        """The area in pixels of the camera's coarsest lattice, which reaches beyond the image by half a point's."""
+        _, height, width, _ = self.arrays["image"].shape
+        lattice = Camera(1.0, 1.0, width, height).lattice(SAMPLES_PER_AXIS[0])
+        return lattice.width * lattice.height / SAMPLES_PER_AXIS[0] ** 2
+
+    @property
     def image(self) -> StoredArray:
         """The images, (N, H, W, 3) u8 RGB, to be read row by row."""
         return self.arrays["image"]
@@ -112,25 +134,27 @@ class Shard:
         """The segmentations, (N, H, W) u8, to be read row by row; None in an imported shard."""
         return self.arrays.get("segmentation")
 
+    @property
+    def depth(self) -> StoredArray | None:
+        """The depths, (N, H, W) f4, to be read row by row; None where the set has none."""
+        return self.arrays.get("depth")
+
     def labels(self) -> ShardLabels:
         """Read the labels of all images.
 
         Raises:
             DataError: one is damaged.
         """
-        rotation, pixels, mask, group = (
+        pixels, part_pixels, mask = (
             self.read(name) if name in self.arrays else None
-            for name in ("rotation", "marking_pixels", "symmetry_mask", GROUP)
+            for name in ("marking_pixels", "part_pixels", "symmetry_mask")
         )
-        return ShardLabels(np.asarray(rotation), np.asarray(group), pixels, mask)
+        return ShardLabels(self.read("rotation"), self._group(), pixels, part_pixels, mask)
 
-    def segmentations(self) -> Iterator[npt.NDArray[np.uint8]]:
-        """Yield the segmentation (H, W) of each image; none in an imported shard.
-
-        Raises:
-            DataError: one is damaged.
-        """
-        return self.rows("segmentation") if "segmentation" in self.arrays else iter(())
+    def _group(self) -> Rotations:
+        if self.layout.has_group_attribute:
+            return self.array_attributes[GROUP]
+        return self.read(GROUP)
 
     @property
     def versions_text(self) -> str:
@@ -187,12 +211,14 @@ def content_sha256(shard: Shard) -> str:
         DataError: a chunk is damaged.
     """
     digest = hashlib.sha256()
-    for name in (*IMAGE_DATASETS, GROUP):
-        if name in shard.arrays:
-            array = shard.arrays[name]
-            digest.update(content_heading(name, array.dtype, array.shape))
-            for values in shard.rows(name) if name in ROW_PER_CHUNK else [shard.read(name)]:
+    for column in shard.layout.columns:
+        if column.name in shard.arrays:
+            array = shard.arrays[column.name]
+            digest.update(content_heading(column.name, array.dtype, array.shape))
+            for values in shard.rows(column.name) if column.is_picture else [shard.read(column.name)]:
                 digest.update(values.tobytes())
+    for name, values in shard.array_attributes.items():
+        digest.update(content_heading(name, values.dtype.str, values.shape) + values.tobytes())
     return digest.hexdigest()
 
 
@@ -235,7 +261,7 @@ def opened_shard(path: Path, sha256: str | None = None, size: int | None = None)
         if faults:
             raise DataError(f"{path}: is no valid shard:\n" + bulleted(faults))
         at_an_error.pop_all()
-    return Shard(path, file, described.attributes, arrays)
+    return Shard(path, file, described.attributes, described.arrays, arrays)
 
 
 def header_mismatches(shard: Shard, expected: dict[str, Any]) -> list[str]:

@@ -3,8 +3,9 @@
 What its arrays hold is for `laws` to say.
 """
 
+import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,21 +14,16 @@ import numpy.typing as npt
 from symsol_annot.objects.spec import MAX_GROUP_ORDER
 from symsol_annot.rendering.camera import SIZE_RANGE
 from symsol_annot.sets.shard.chunks import DEFLATE, FLETCHER32, Place, StoredArray, largest_chunk
-from symsol_annot.sets.shard.header import (
-    DATASETS_NOT_IMPORTED,
-    GROUP,
-    IMAGE_DATASETS,
-    MAX_IMAGES_PER_SHARD,
-    ROW_PER_CHUNK,
-    SHARD_FORMAT,
-    SHARD_FORMAT_VERSION,
-    attribute_kinds,
-)
+from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, SHARD_FORMAT
+from symsol_annot.sets.shard.layout import GROUP, GROUP_SHA256, LAYOUTS, NEWEST, Column, ShardLayout
 from symsol_annot.system.sandbox.hdf5_process import DatasetFacts, Description
 
+MAX_SYMMETRIES = 2 * MAX_GROUP_ORDER
+MAX_PARTS = 255  # their ids are bytes, and 0 is the background's
 _FILTERS = (DEFLATE, FLETCHER32)
-_IN_WORDS = {"text": "a string", "whole": "a whole number", "real": "a number"}
+_IN_WORDS = {"text": "a string", "whole": "a whole number", "real": "a number", "array": "an array"}
 _SHOWN_CHARACTERS = 80
+_PART_CHARACTERS = 64
 
 
 def structure_of(described: Description, file_bytes: int) -> tuple[list[str], dict[str, StoredArray]]:
@@ -43,44 +39,97 @@ def structure_of(described: Description, file_bytes: int) -> tuple[list[str], di
     faults = _format_faults(described)
     if faults:
         return faults, {}
+    layout = LAYOUTS[described.attributes["format_version"]]
     is_imported = "source" in (described.attributes.keys() | described.odd_attributes.keys())
-    faults = _attribute_faults(described, is_imported=is_imported)
-    faults += _name_faults(described.datasets, is_imported=is_imported)
+    faults = _attribute_faults(described, layout, is_imported=is_imported)
+    faults += _name_faults(described.datasets, layout, is_imported=is_imported)
     if faults:
         return faults, {}
     arrays = {}
-    for name, (shape, dtype) in _expected_arrays(described, is_imported=is_imported).items():
-        facts = described.datasets.get(name)
-        found = _dataset_faults(name, facts, shape, dtype)
+    for column, shape in _expected_columns(described, layout, is_imported=is_imported):
+        facts = described.datasets.get(column.name)
+        found = _dataset_faults(column, facts, shape)
         if facts and not found:
-            rows_per_chunk = 1 if name in ROW_PER_CHUNK else shape[0]
-            arrays[name] = StoredArray(name, shape, dtype, rows_per_chunk, _in_order(facts.places))
-            found = _place_faults(arrays[name], facts.places, file_bytes)
+            rows_per_chunk = 1 if column.is_picture else shape[0]
+            array = StoredArray(column.name, shape, column.dtype, rows_per_chunk, _in_order(facts.places))
+            arrays[column.name] = array
+            found = _place_faults(array, facts.places, file_bytes)
         faults += found
     return faults, arrays
 
 
+def parts_stated(text: str) -> tuple[str, ...]:
+    """Return the names of parts that the attribute `parts` states.
+
+    Raises:
+        ValueError: it is no JSON list of 1 to 255 names, each another one.
+    """
+    try:
+        names = json.loads(text)
+    except RecursionError:
+        names = None
+    is_list = isinstance(names, list) and 0 < len(names) <= MAX_PARTS and all(isinstance(name, str) for name in names)
+    if not is_list or len(set(names)) < len(names):
+        raise ValueError(f"no JSON list of 1 to {MAX_PARTS} names of parts, each another one: {shown(text)}")
+    if not all(name.isprintable() and 0 < len(name) <= _PART_CHARACTERS for name in names):
+        raise ValueError(
+            f"a name of a part is not 1 to {_PART_CHARACTERS} characters that can be printed: {shown(text)}"
+        )
+    return tuple(names)
+
+
 def _format_faults(described: Description) -> list[str]:
-    for name, expected in (("format", SHARD_FORMAT), ("format_version", SHARD_FORMAT_VERSION)):
-        found = described.attributes.get(name)
-        if name == "format_version" and type(found) is int and found > SHARD_FORMAT_VERSION:
-            return [f"is of format version {found}, newer than {expected}, which this symsol-annot reads: update it"]
-        if type(found) is not type(expected) or found != expected:
-            odd = described.odd_attributes.get(name)
-            return [f"attribute {name!r}: this version reads {expected}, found {odd or shown(found)}"]
+    names = {name: described.attributes.get(name) for name in ("format", "format_version")}
+    odd = described.odd_attributes
+    if names["format"] != SHARD_FORMAT:
+        found = odd.get("format") or shown(names["format"])
+        return [f"attribute 'format': this version reads {SHARD_FORMAT}, found {found}"]
+    version = names["format_version"]
+    if type(version) is int and version > NEWEST:
+        return [f"is of format version {version}, newer than {NEWEST}, which this symsol-annot reads: update it"]
+    if type(version) is not int or version not in LAYOUTS:
+        found, known = odd.get("format_version") or shown(version), " and ".join(map(str, LAYOUTS))
+        return [f"attribute 'format_version': this version reads {known}, found {found}"]
     return []
 
 
-def _attribute_faults(described: Description, *, is_imported: bool) -> list[str]:
-    expected, kind_of = attribute_kinds(is_imported=is_imported), "an imported shard" if is_imported else "the format"
-    found, odd = described.attributes, described.odd_attributes
+def _attribute_faults(described: Description, layout: ShardLayout, *, is_imported: bool) -> list[str]:
+    expected = layout.attribute_kinds(is_imported=is_imported)
+    kind_of = "an imported shard" if is_imported else f"format version {layout.version}"
+    odd, arrays = described.odd_attributes, described.arrays
+    found = {**described.attributes, **arrays}
     faults = [
         f"attribute {name!r} is {odd.get(name, 'missing')}, where {_IN_WORDS[kind]} belongs"
         for name, kind in expected.items()
         if name not in found
     ]
     faults += [f"attribute {shown(name)} is not part of {kind_of}" for name in (*found, *odd) if name not in expected]
-    return faults or _camera_faults(found["camera"])
+    if faults:
+        return faults
+    if "parts" in expected:
+        faults += _parts_faults(described.attributes["parts"])
+    if layout.has_group_attribute:
+        faults += _group_faults(arrays[GROUP], described.attributes[GROUP_SHA256])
+    return faults + _camera_faults(described.attributes["camera"])
+
+
+def _parts_faults(text: str) -> list[str]:
+    try:
+        parts_stated(text)
+    except ValueError as error:
+        return [f"attribute 'parts': {error}"]
+    return []
+
+
+def _group_faults(group: npt.NDArray[Any], sha256: str) -> list[str]:
+    if group.dtype.str != "<f8" or group.ndim != 3 or group.shape[1:] != (3, 3):
+        expected, found = "expected <f8 of shape (G, 3, 3)", f"found {group.dtype.str} of shape {group.shape}"
+        return [f"attribute {GROUP!r}: {expected}, {found}"]
+    if not 0 < len(group) <= MAX_SYMMETRIES:
+        return [f"attribute {GROUP!r}: expected 1 to {MAX_SYMMETRIES} symmetries, found {len(group)}"]
+    if hashlib.sha256(group.tobytes()).hexdigest() != sha256:
+        return [f"attribute {GROUP!r}: is damaged: it does not have the digest in {GROUP_SHA256!r}"]
+    return []
 
 
 def _camera_faults(text: str) -> list[str]:
@@ -92,53 +141,56 @@ def _camera_faults(text: str) -> list[str]:
     return [] if is_camera else [f"attribute 'camera' is no JSON with width and height: {shown(text)}"]
 
 
-def _name_faults(datasets: Mapping[str, DatasetFacts], *, is_imported: bool) -> list[str]:
+def _name_faults(datasets: Mapping[str, DatasetFacts], layout: ShardLayout, *, is_imported: bool) -> list[str]:
+    known = {column.name for column in layout.columns}
+    there = {column.name for column in layout.columns_of(is_imported=is_imported)}
     faults = []
     for name, facts in datasets.items():
-        if name not in (*IMAGE_DATASETS, GROUP):
-            faults.append(f"{shown(name)} is not part of the format")
-        elif is_imported and name in DATASETS_NOT_IMPORTED:
+        if name not in known:
+            faults.append(f"{shown(name)} is not part of the format, version {layout.version}")
+        elif name not in there:
             faults.append(f"{name!r} is not part of an imported shard")
         elif facts.found:
             faults.append(f"{name!r} is {facts.found}, where a data set in this file belongs")
     return faults
 
 
-def _expected_arrays(described: Description, *, is_imported: bool) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Return shape and type of each data set, given how many images and symmetries there are."""
-    camera = json.loads(described.attributes["camera"])
-    size = (camera["height"], camera["width"])
-    count, order = (_rows_of(described.datasets.get(name)) for name in ("rotation", GROUP))
-    expected: dict[str, tuple[tuple[int, ...], str]] = {
-        "image": ((count, *size, 3), "|u1"),
-        "segmentation": ((count, *size), "|u1"),
-        "rotation": ((count, 3, 3), "<f8"),
-        "marking_pixels": ((count,), "<f4"),
-        "symmetry_mask": ((count, order), "|b1"),
-        GROUP: ((order, 3, 3), "<f8"),
+def _expected_columns(
+    described: Description, layout: ShardLayout, *, is_imported: bool
+) -> Iterator[tuple[Column, tuple[int, ...]]]:
+    """Yield each data set with its shape, given how many images, parts and symmetries there are."""
+    camera, datasets = json.loads(described.attributes["camera"]), described.datasets
+    group = described.arrays.get(GROUP)
+    sizes = {
+        "images": _rows_of(datasets.get("rotation")),
+        "height": camera["height"],
+        "width": camera["width"],
+        "parts": len(parts_stated(described.attributes["parts"])) if "parts" in described.attributes else 0,
+        "symmetries": _rows_of(datasets.get(GROUP)) if group is None else len(group),
     }
-    left_out = set(DATASETS_NOT_IMPORTED) if is_imported else set()
-    left_out |= {"symmetry_mask"} - described.datasets.keys()
-    return {name: what for name, what in expected.items() if name not in left_out}
+    for column in layout.columns_of(is_imported=is_imported):
+        if column.name in datasets or not column.is_optional:
+            yield column, tuple(sizes[axis] if isinstance(axis, str) else axis for axis in column.axes)
 
 
 def _rows_of(facts: DatasetFacts | None) -> int:
     return facts.shape[0] if facts and facts.shape else 0
 
 
-def _dataset_faults(name: str, facts: DatasetFacts | None, shape: tuple[int, ...], dtype: str) -> list[str]:
+def _dataset_faults(column: Column, facts: DatasetFacts | None, shape: tuple[int, ...]) -> list[str]:
+    name = column.name
     if facts is None:
         return [f"data set {name!r} is missing"]
-    most = 2 * MAX_GROUP_ORDER if name == GROUP else MAX_IMAGES_PER_SHARD
-    if not 0 < shape[0] <= most or 0 in shape or (name == "symmetry_mask" and shape[1] > 2 * MAX_GROUP_ORDER):
+    most = MAX_SYMMETRIES if name == GROUP else MAX_IMAGES_PER_SHARD
+    if not 0 < shape[0] <= most or 0 in shape or (column.axes[-1] == "symmetries" and shape[-1] > MAX_SYMMETRIES):
         return [f"{name!r}: its shape {facts.shape} is beyond the format's limits: 1 to {most} rows"]
-    if facts.shape != shape or facts.exact_type != dtype:
+    if facts.shape != shape or facts.exact_type != column.dtype:
         found = facts.exact_type or f"{facts.dtype} in another order of bytes or bits"
-        return [f"{name!r}: expected {dtype} of shape {shape}, found {found} of shape {facts.shape}"]
+        return [f"{name!r}: expected {column.dtype} of shape {shape}, found {found} of shape {facts.shape}"]
     if facts.filters != _FILTERS:
         return [f"{name!r}: expected the filters gzip and fletcher32, found those of the numbers {facts.filters}"]
-    if facts.chunks != (1 if name in ROW_PER_CHUNK else shape[0], *shape[1:]):
-        expected = "one row per chunk" if name in ROW_PER_CHUNK else "all rows in one chunk"
+    if facts.chunks != (1 if column.is_picture else shape[0], *shape[1:]):
+        expected = "one row per chunk" if column.is_picture else "all rows in one chunk"
         return [f"{name!r}: expected {expected}, found {facts.chunks or 'no chunks'}"]
     return []
 

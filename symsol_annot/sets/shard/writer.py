@@ -18,7 +18,10 @@ from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.settings import RenderedSettings
 from symsol_annot.sets.shard.chunks import GZIP_LEVEL, deflate_version, inflated, stored
 from symsol_annot.sets.shard.header import ShardHeader, content_heading
+from symsol_annot.sets.shard.layout import GROUP, GROUP_SHA256
 from symsol_annot.system.closing import Closing
+
+_MOST_IN_OLDEST = 900  # symmetries: an attribute of HDF5's oldest format holds 64 KiB
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class ImageRecord:
     """What a shard holds of one image.
 
     Attributes:
-        view: the picture and its segmentation.
+        view: the picture, its segmentation, the areas of its parts, and its depth where the set has that.
         R_m2c: (3, 3) the rotation it was drawn at.
         coset_px: the marking's area in pixels, as `Annotator.coset_px` gives it; its key is marking_pixels.
         symmetry_mask: (G,) bool, or None in a split without annotation.
@@ -50,29 +53,39 @@ class ShardWriter(Closing):
     """Builds one shard, image by image; the chunks are made here, not by HDF5, so that threads do so at once."""
 
     def __init__(self, header: ShardHeader, count: int, symmetry_group: Rotations, *, annotated: bool) -> None:
-        in_memory = f"shard-{uuid.uuid4()}"  # HDF5 tells files that are open at the same time apart by name
-        self._file = h5py.File(in_memory, "w", driver="core", backing_store=False, libver=("earliest", "v108"))
+        """Begin a shard of `count` images over a group (G, 3, 3)."""
+        self._file = _new_file(len(symmetry_group))
         self._count, self._written = count, 0
+        self._group = np.ascontiguousarray(symmetry_group, dtype="<f8")
         self._file.attrs.update(header.to_attributes())
-        width, height = header.settings.image_size
+        self._file.attrs.create(GROUP, self._group)
+        self._file.attrs[GROUP_SHA256] = hashlib.sha256(self._group.tobytes()).hexdigest()
+        settings = header.settings
+        width, height = settings.image_size
         self._image = self._create("image", (count, height, width, 3), "u1", chunk_rows=1)
-        self._segmentation = None
+        self._maps: dict[str, h5py.Dataset] = {}
         self._labels = {"rotation": np.zeros((count, 3, 3))}
-        if isinstance(header.settings, RenderedSettings):
-            self._segmentation = self._create("segmentation", (count, height, width), "u1", chunk_rows=1)
+        if isinstance(settings, RenderedSettings):
+            maps = {"segmentation": "u1", **({"depth": "f4"} if settings.has_depth else {})}
+            self._maps = {
+                name: self._create(name, (count, height, width), dtype, chunk_rows=1) for name, dtype in maps.items()
+            }
             self._labels["marking_pixels"] = np.zeros(count, dtype="f4")
+            self._labels["part_pixels"] = np.zeros((count, len(settings.parts)), dtype="f4")
         if annotated:
             self._labels["symmetry_mask"] = np.zeros((count, len(symmetry_group)), dtype=bool)
-        self._labels["symmetry_group"] = symmetry_group
         self._content = hashlib.sha256(_heading(self._image))
-        self._segmentations: list[bytes] = []  # as they are stored, until their turn in the digest
+        self._stored: dict[str, list[bytes]] = {name: [] for name in self._maps}  # until their turn in the digest
 
     def add(self, record: ImageRecord) -> None:
         """Append one rendered image."""
-        row = self._written
-        self.add_imported(record.view.rgb, record.R_m2c, record.symmetry_mask)
-        self._segmentations.append(_store(self._segmentation, row, record.view.segmentation[None]))
+        row, view = self._written, record.view
+        self.add_imported(view.rgb, record.R_m2c, record.symmetry_mask)
+        for name, dataset in self._maps.items():
+            values = np.asarray(view.segmentation if name == "segmentation" else view.depth)
+            self._stored[name].append(_store(dataset, row, values[None]))
         self._labels["marking_pixels"][row] = record.coset_px
+        self._labels["part_pixels"][row] = view.part_pixels
 
     def add_imported(self, rgb: npt.NDArray[np.uint8], R: Rotations, mask: npt.NDArray[np.bool_] | None) -> None:
         """Append one image (H, W, 3) of which nothing is known but its rotation (3, 3) and its set (G,), if that."""
@@ -89,14 +102,15 @@ class ShardWriter(Closing):
         if self._written != self._count:
             raise ValueError(f"the shard was made for {self._count} images and holds {self._written}")
         self._file.attrs.update(notes)
-        if self._segmentation is not None:
-            self._content.update(_heading(self._segmentation))
-            for chunk in self._segmentations:
-                self._content.update(inflated(chunk, math.prod(self._segmentation.chunks)))
+        for name, dataset in self._maps.items():
+            self._content.update(_heading(dataset))
+            for chunk in self._stored[name]:
+                self._content.update(inflated(chunk, math.prod(dataset.chunks) * dataset.dtype.itemsize))
         for name, values in self._labels.items():
             dataset = self._create(name, values.shape, values.dtype.str)
             _store(dataset, 0, values)
             self._content.update(_heading(dataset) + values.tobytes())
+        self._content.update(content_heading(GROUP, self._group.dtype.str, self._group.shape) + self._group.tobytes())
         self._file.flush()
         return ShardFile(self._file.id.get_file_image(), self._content.hexdigest())
 
@@ -115,6 +129,19 @@ class ShardWriter(Closing):
             fletcher32=True,
             track_times=False,
         )
+
+
+def _new_file(symmetries: int) -> h5py.File:
+    """Return an empty file in memory, of the oldest of HDF5's formats that holds so many symmetries in an attribute."""
+    plist = h5py.h5p.create(h5py.h5p.FILE_CREATE)
+    plist.set_obj_track_times(False)  # of the root; the oldest format has none
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_fapl_core(backing_store=False)
+    access.set_fclose_degree(h5py.h5f.CLOSE_STRONG)
+    newer = h5py.h5f.LIBVER_V18
+    access.set_libver_bounds(h5py.h5f.LIBVER_EARLIEST if symmetries <= _MOST_IN_OLDEST else newer, newer)
+    in_memory = f"shard-{uuid.uuid4()}"  # HDF5 tells files that are open at the same time apart by name
+    return h5py.File(h5py.h5f.create(in_memory.encode(), h5py.h5f.ACC_TRUNC, plist, access))
 
 
 def _store(dataset: h5py.Dataset, row: int, values: npt.NDArray[Any]) -> bytes:

@@ -8,8 +8,9 @@ hold only one open.
 It imports nothing of this package, so that it starts fast. Requests are lines of JSON on standard input:
 
     {"open": PATH}                              describe a file; the one that was open before is closed
-    {"open": PATH, "attributes": {NAME: KIND}}  describe a file and close it: only these attributes are read, data sets
-                                                may be booleans, and where chunks lie is told, as in `_chunks`
+    {"open": PATH, "attributes": {NAME: KIND}}  describe a file and close it: only these attributes are read, of which
+                                                some may be arrays, data sets may be booleans, and where chunks lie is
+                                                told, as in `_chunks`
     {"dataset": NAME, "start": N, "stop": N}    rows
 
 An answer is the length of a JSON header (8 bytes, little-endian), the header, and the bytes that it announces.
@@ -30,6 +31,8 @@ import numpy as np
 MAX_LINKS = 64
 MAX_ATTRIBUTES = 64
 MAX_ATTRIBUTE_BYTES = 65536
+MAX_ARRAY_BYTES = 2**19  # of an attribute that is wanted as an array: 7,200 rotations
+MAX_AXES = 4
 MAX_CHUNKS = 2**12  # of a data set whose places are told
 MAX_TEXT = 200  # characters of a name, or of HDF5's words, that a message shows
 CHUNK_CACHE_BYTES = 2**28
@@ -44,6 +47,7 @@ _KINDS = {
     h5py.h5t.ARRAY: "array types",
 }
 _ATTRIBUTE_KINDS = {"text": h5py.h5t.STRING, "whole": h5py.h5t.INTEGER, "real": h5py.h5t.FLOAT}
+_IN_WORDS = {h5py.h5t.STRING: "a string", h5py.h5t.INTEGER: "a whole number", h5py.h5t.FLOAT: "a number"}
 _HDF5_ERRORS = (OSError, RuntimeError, KeyError, TypeError, ValueError, OverflowError)
 
 
@@ -121,18 +125,18 @@ def _describe(file: h5py.File, wanted: dict[str, str] | None) -> Any:
 
     Args:
         file: that was opened.
-        wanted: attribute to its kind, "text", "whole" or "real"; None reads all, and tells of no chunks.
+        wanted: attribute to its kind, "text", "whole", "real" or "array"; None reads all but arrays, and tells of no
+            chunks.
     """
     links, attributes = len(file), h5py.h5a.get_num_attrs(file.id)
     if links > MAX_LINKS or attributes > MAX_ATTRIBUTES:
         return {"error": f"holds {links} names at its root and {attributes} attributes, more than its format has"}
     datasets = {_name(name)[:MAX_TEXT]: _attempt_one(_dataset, file, name, wanted is not None) for name in file}
-    places = [facts.pop("places") for facts in datasets.values() if "places" in facts]
-    return {
-        "attributes": {_name(name)[:MAX_TEXT]: _attempt_one(_attribute, file, name, wanted) for name in file.attrs},
-        "datasets": datasets,
-        "identity": _identity(file),
-    }, b"".join(place.tobytes() for place in places)
+    attributes = {_name(name)[:MAX_TEXT]: _attempt_one(_attribute, file, name, wanted) for name in file.attrs}
+    arrays = [facts.pop("places") for facts in datasets.values() if "places" in facts]
+    arrays += [facts.pop("array") for facts in attributes.values() if "array" in facts]
+    answer = {"attributes": attributes, "datasets": datasets, "identity": _identity(file)}
+    return answer, b"".join(array.tobytes() for array in arrays)
 
 
 def _identity(file: h5py.File) -> list[int]:
@@ -158,22 +162,45 @@ def _attempt_one(
 
 
 def _attribute(file: h5py.File, name: str | bytes, wanted: dict[str, str] | None) -> dict[str, Any]:
-    """Return an attribute's value where it is one string or one number, else what it is instead."""
+    """Return an attribute's value where it is one string or number, or an array that is wanted; else what it is."""
     attribute = file.attrs.get_id(name)
-    kind = attribute.get_type().get_class()
+    kind, wanted_kind = attribute.get_type().get_class(), (wanted or {}).get(_name(name), "")
+    if wanted_kind == "array" and attribute.shape:
+        return _array_attribute(attribute, kind)
     if attribute.shape != ():
         return {"found": "empty" if attribute.shape is None else f"an array of shape {attribute.shape}"}
     if kind not in _ATTRIBUTE_KINDS.values():
         return {"found": _KINDS.get(kind, "an unknown type")}
-    if wanted is not None and _ATTRIBUTE_KINDS.get(wanted.get(_name(name), "")) != kind:
-        return {"found": {h5py.h5t.STRING: "a string", h5py.h5t.INTEGER: "a whole number"}.get(kind, "a number")}
+    if wanted is not None and _ATTRIBUTE_KINDS.get(wanted_kind) != kind:
+        return {"found": _IN_WORDS[kind]}
+    return _one_value(attribute, file.attrs, name, kind)
+
+
+def _one_value(attribute: Any, attributes: Any, name: str | bytes, kind: int) -> dict[str, Any]:
+    """Return an attribute that is one string or one number, unless it is too large."""
     if attribute.get_storage_size() > MAX_ATTRIBUTE_BYTES:
         return {"found": f"{attribute.get_storage_size()} bytes"}
-    value = file.attrs[name]
+    value = attributes[name]
     if kind == h5py.h5t.STRING:
         value = value.decode(errors="replace") if isinstance(value, bytes) else str(value)
         return {"value": value} if len(value) <= MAX_ATTRIBUTE_BYTES else {"found": f"{len(value)} characters"}
     return {"value": int(value) if kind == h5py.h5t.INTEGER else float(value)}
+
+
+def _array_attribute(attribute: Any, kind: int) -> dict[str, Any]:
+    """Return an attribute that is a small array of numbers in numpy's own bytes; else what it is."""
+    shape = attribute.shape
+    if kind not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT):
+        return {"found": f"an array of {_KINDS.get(kind, 'an unknown type')}"}
+    exact = _exact_type(attribute)
+    if not exact:
+        return {"found": "an array in another order of bytes or bits"}
+    size = int(np.prod(shape, dtype=object)) * attribute.dtype.itemsize
+    if len(shape) > MAX_AXES or not 0 < size <= MAX_ARRAY_BYTES or attribute.get_storage_size() != size:
+        return {"found": f"an array of shape {shape}, of which {MAX_ARRAY_BYTES} bytes are allowed"}
+    values = np.zeros(shape, exact)
+    attribute.read(values)
+    return {"array": values, "dtype": exact, "shape": shape}
 
 
 def _dataset(file: h5py.File, name: str | bytes, is_whole: bool) -> dict[str, Any]:  # noqa: FBT001
@@ -197,17 +224,21 @@ def _dataset(file: h5py.File, name: str | bytes, is_whole: bool) -> dict[str, An
         "places_count": len(places.get("places", ())),
         "shape": dataset.shape,
         "dtype": dataset.dtype.newbyteorder("<").str,
-        "exact_type": _exact_type(dataset),
+        "exact_type": _exact_type(dataset.id),
         "filters": [int(plist.get_filter(i)[0]) for i in range(plist.get_nfilters())],
         "chunks": dataset.chunks,
         "chunk_bytes": int(np.prod(dataset.chunks, dtype=object)) * dataset.dtype.itemsize if dataset.chunks else 0,
     }
 
 
-def _exact_type(dataset: h5py.Dataset) -> str:
-    """Return numpy's name of a type whose bytes in the file are numpy's own, in little-endian order; else nothing."""
-    own = dataset.dtype.newbyteorder("<")
-    return own.str if dataset.id.get_type().equal(h5py.h5t.py_create(own, logical=True)) else ""
+def _exact_type(values: Any) -> str:
+    """Return numpy's name of a type whose bytes in the file are numpy's own, in little-endian order; else nothing.
+
+    Args:
+        values: the low-level object of a data set or an attribute.
+    """
+    own = values.dtype.newbyteorder("<")
+    return own.str if values.get_type().equal(h5py.h5t.py_create(own, logical=True)) else ""
 
 
 def _not_here(file: h5py.File, name: str | bytes) -> str:
@@ -229,7 +260,7 @@ def _not_numbers(dataset: h5py.Dataset, plist: Any, *, has_booleans: bool) -> st
     if plist.get_external_count():
         return "a data set in external storage"
     kind = dataset.id.get_type().get_class()
-    is_boolean = has_booleans and kind == h5py.h5t.ENUM and _exact_type(dataset) == "|b1"
+    is_boolean = has_booleans and kind == h5py.h5t.ENUM and _exact_type(dataset.id) == "|b1"
     if kind not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT) and not is_boolean:
         return f"a data set of {_KINDS.get(kind, 'an unknown type')}"
     return "" if dataset.shape is not None else "a data set without values"

@@ -82,12 +82,14 @@ class Description:
 
     Attributes:
         attributes: those that are one string or one number, and were wanted.
+        arrays: those that were wanted as arrays, and are.
         odd_attributes: what the other attributes are instead.
         datasets: what every name at the root is.
         identity: device, inode and size of the file that was described.
     """
 
     attributes: Mapping[str, Any]
+    arrays: Mapping[str, npt.NDArray[Any]]
     odd_attributes: Mapping[str, str]
     datasets: Mapping[str, DatasetFacts]
     identity: tuple[int, int, int]
@@ -136,8 +138,8 @@ class Hdf5Process(Closing):
 
         Args:
             path: of a regular file.
-            attributes: those that are wanted, to their kinds "text", "whole" or "real", and the places of chunks with
-                them; None for all, without places.
+            attributes: those that are wanted, to their kinds "text", "whole", "real" or "array", and the places of
+                chunks with them; None for all but arrays, without places.
         """
         self._send({"open": str(path.absolute()), "attributes": attributes and dict(attributes)}, "the file")
 
@@ -156,6 +158,11 @@ class Hdf5Process(Closing):
         }
         return Description(
             {name: entry["value"] for name, entry in attributes.items() if "value" in entry},
+            {
+                name: self._array(tuple(entry["shape"]), entry["dtype"], what)
+                for name, entry in attributes.items()
+                if "dtype" in entry
+            },
             {name: entry["found"] for name, entry in attributes.items() if "found" in entry},
             datasets,
             tuple(found["identity"]),
