@@ -38,7 +38,7 @@ FAULTS = {
         "house/test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
     ),
     "object turned the other way": (
-        "symsol_annot/rendering/projection.py",
+        "symsol_annot/rendering/frames/projection.py",
         "vertices @ np.swapaxes(R_m2c, -1, -2)",
         "vertices @ R_m2c",
         CAST,
@@ -98,7 +98,7 @@ FAULTS = {
         "annotation/test_visibility.py::test_however_vertices_are_moved_the_count_lies_between_the_bounds[0.1-tetX]",
     ),
     "vertices rounded to a coarser grid": (
-        "symsol_annot/rendering/projection.py",
+        "symsol_annot/rendering/frames/projection.py",
         "SUBPIXELS = 256",
         "SUBPIXELS = 128",
         "rendering/test_opengl.py::test_the_points_of_each_part_are_those_of_integer_arithmetic[cylO]",
@@ -110,7 +110,7 @@ FAULTS = {
         "rendering/test_opengl.py::test_normals_are_interpolated_on_the_surface_and_not_in_the_picture",
     ),
     "samples beside the pixels' centres": (
-        "symsol_annot/rendering/supersampling.py",
+        "symsol_annot/rendering/frames/supersampling.py",
         "ids[n // 2 :: n, n // 2 :: n]",
         "ids[:-1:n, :-1:n]",
         CAST,

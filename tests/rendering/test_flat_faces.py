@@ -5,7 +5,7 @@ import pytest
 
 from symsol_annot.objects.mesh import Mesh
 from symsol_annot.objects.spec import builtin_names, load_object
-from symsol_annot.rendering.flat_faces import cut_polygon, with_few_slivers
+from symsol_annot.rendering.frames.flat_faces import cut_polygon, with_few_slivers
 
 
 def areas(mesh):

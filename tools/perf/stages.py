@@ -14,10 +14,10 @@ from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.blender import opengl
 from symsol_annot.rendering.blender.pipeline import PipelineRenderer
 from symsol_annot.rendering.camera import Camera
-from symsol_annot.rendering.projection import projected
+from symsol_annot.rendering.frames.projection import projected
+from symsol_annot.rendering.frames.supersampling import part_pixels_of, pixel_averages
 from symsol_annot.rendering.renderer import Scene
 from symsol_annot.rendering.settings import RenderSettings
-from symsol_annot.rendering.supersampling import part_pixels_of, pixel_averages
 from symsol_annot.rendering.windows import Window
 from symsol_annot.sets.plan import label_rotation
 

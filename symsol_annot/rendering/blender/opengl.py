@@ -22,11 +22,11 @@ from symsol_annot.errors import RenderError
 from symsol_annot.rendering.blender import device
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import engine_named
-from symsol_annot.rendering.flat_faces import with_few_slivers
-from symsol_annot.rendering.projection import doubled_areas, projected
+from symsol_annot.rendering.frames.flat_faces import with_few_slivers
+from symsol_annot.rendering.frames.projection import doubled_areas, projected
+from symsol_annot.rendering.frames.shading import srgb_bytes
+from symsol_annot.rendering.frames.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
 from symsol_annot.rendering.renderer import BODY, MARKING, LabelWindow, Scene, View
-from symsol_annot.rendering.shading import srgb_bytes
-from symsol_annot.rendering.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.system.closing import Closing
