@@ -1,4 +1,4 @@
-"""The command's entry point: gathers the commands and turns errors into messages and exit codes.
+"""The command's entry point: finds the command and turns errors into messages and exit codes.
 
 Exit codes: 0 done, 1 the input or the data is wrong, 2 the command line is, 130 interrupted.
 """
@@ -9,28 +9,11 @@ import os
 import signal
 import sys
 import traceback
+from importlib import import_module
 
 import click
-from symsol_annot_cli.compare import compare
-from symsol_annot_cli.completion import completion
-from symsol_annot_cli.doctor import doctor
-from symsol_annot_cli.gallery import gallery
-from symsol_annot_cli.import_symsol import import_symsol
-from symsol_annot_cli.info import info
-from symsol_annot_cli.leaderboard import leaderboard
-from symsol_annot_cli.objects import objects
 from symsol_annot_cli.parameters import example
-from symsol_annot_cli.plot import plot
-from symsol_annot_cli.predict import predict
-from symsol_annot_cli.publish import publish
-from symsol_annot_cli.queries import queries
-from symsol_annot_cli.reference import reference
-from symsol_annot_cli.render import render
-from symsol_annot_cli.score import score
 from symsol_annot_cli.terminal import TerminalHandler, say
-from symsol_annot_cli.train import train
-from symsol_annot_cli.validate import validate
-from symsol_annot_cli.verify import verify
 
 from symsol_annot import SymsolError, __version__
 
@@ -44,16 +27,32 @@ _EXAMPLE = example(
 )
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]}, epilog=_EXAMPLE)
+_COMMANDS = (
+    *("compare", "completion", "doctor", "gallery", "import-symsol", "info", "leaderboard", "objects", "plot"),
+    *("predict", "publish", "queries", "reference", "render", "score", "train", "validate", "verify"),
+)
+
+
+class _Commands(click.Group):
+    """The commands, each in a module of its name that is imported when it is asked for: to render takes no scorer."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        """Return the names."""
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - click's signature
+        """Return a command; None where there is none of that name."""
+        if cmd_name not in _COMMANDS:
+            return None
+        name = cmd_name.replace("-", "_")
+        command: click.Command = getattr(import_module(f"symsol_annot_cli.{name}"), name)
+        return command
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_EXAMPLE)
 @click.version_option(__version__, prog_name="symsol-annot")
 def app() -> None:
     """Images of symmetric objects, each with the set of all rotations that could have produced it."""
-
-
-_DATA_COMMANDS = (render, objects, doctor, info, verify, plot, gallery, import_symsol, publish)
-_BENCHMARK_COMMANDS = (train, predict, queries, validate, score, compare, leaderboard, reference)
-for command in (*_DATA_COMMANDS, *_BENCHMARK_COMMANDS, completion):
-    app.add_command(command)
 
 
 def main() -> None:

@@ -104,8 +104,9 @@ class MarkingVisibility:
     def _quick_bounds(self, R_m2c: Rotations) -> tuple[Counts, Counts]:
         """Return lower bounds around one point, and upper bounds of 0 where every triangle faces away for sure."""
         facing, lower = self._facing(R_m2c), np.zeros(len(R_m2c), dtype=np.int64)
-        upper = np.where((facing > -self._facing_slack(R_m2c)).any(axis=0), np.iinfo(np.int64).max, 0)
-        (seen,) = np.nonzero((facing > 0).any(axis=0))
+        most = facing.max(axis=0)
+        upper = np.where(most > -self._facing_slack(R_m2c, self._two_shortest.max()), np.iinfo(np.int64).max, 0)
+        (seen,) = np.nonzero(most > 0)
         lower[seen] = self._around_one_point(R_m2c[seen], facing[:, seen])
         return lower, upper
 
@@ -122,15 +123,15 @@ class MarkingVisibility:
         depth = R_m2c[:, 2] @ self._middle + self._lattice.distance
         return depth - self._radius, depth + self._radius
 
-    def _facing_slack(self, R_m2c: Rotations) -> Floats:
-        """Return by how much moved vertices can change each triangle's facing: (T, n).
+    def _facing_slack(self, R_m2c: Rotations, two_shortest: Floats) -> Floats:
+        """Return by how much moved vertices can change the facing of triangles with such sides: (..., n).
 
         Twice a projected area, of sides f and g, changes by at most 2 e (|f|_1 + |g|_1) + 8 e^2.
         """
         near, far = self._depths(R_m2c)
         scale = far**3 / self._lattice.focal_px**2
         by_length = 2.0 * self._shift * np.sqrt(2.0) * self._longest(near) * scale
-        return self._two_shortest[:, None] * by_length + 8.0 * self._shift**2 * scale
+        return two_shortest * by_length + 8.0 * self._shift**2 * scale
 
     def _longest(self, near: Floats) -> Floats:
         """Return the most spacings that a model length of 1 can span anywhere in view, at a depth of `near` or more."""
@@ -181,7 +182,9 @@ class MarkingVisibility:
         outline = self._outline(points, facing > 0)
         count, near = count_inside(outline, n), points_near(outline, self._shift)
         is_less = is_inside(near, outline)
-        turned = self._in_turned(points, (facing <= 0) & (facing >= -self._facing_slack(R_m2c)))
+        turned = self._in_turned(
+            points, (facing <= 0) & (facing >= -self._facing_slack(R_m2c, self._two_shortest[:, None]))
+        )
         turned = turned[~is_inside(turned, outline)]
         is_behind = self._is_within_silhouette(R_m2c[turned.owner], turned.uv, 2.0 * self._shift)
         less, more = near[is_less].owner, (near[~is_less] | turned[~is_behind]).owner

@@ -28,6 +28,9 @@ class Executor(AbstractContextManager["Executor"], Protocol):
     def capacity(self) -> int:
         """Return how many shards it can make at the same time now; 0 where it waits for workers."""
 
+    def prepare(self, shards: int) -> None:
+        """Start what takes long to start, for so many shards to come; they are not certain to come."""
+
     def submit(self, entry: ShardEntry, on_shard_images: OnShardImages) -> "Future[MadeShard]":
         """Begin a shard, once there is room.
 
@@ -81,6 +84,11 @@ class MakerPool:
             self._give_back(maker, is_good=is_good)
         return made
 
+    def prepare(self, count: int) -> None:
+        """Start so many makers, to wait for their first shard."""
+        with self._lock:
+            self._idle += [self._open_maker() for _ in range(count)]
+
     def close_idle_since(self, moment: float) -> None:
         """End the makers that wait, if none was used after a moment of `time.monotonic`."""
         with self._lock:
@@ -129,6 +137,10 @@ class ThreadedExecutor(Closing):
     def capacity(self) -> int:
         """Return the number of workers."""
         return self._workers
+
+    def prepare(self, shards: int) -> None:
+        """Start the workers."""
+        self._makers.prepare(min(shards, self._workers))
 
     def submit(self, entry: ShardEntry, on_shard_images: OnShardImages) -> "Future[MadeShard]":
         """Begin a shard, once a worker is free."""

@@ -81,7 +81,6 @@ def generate(
         OutputError: the folder cannot be written to, or another process is making this set.
         RenderError: a worker failed, or a shard lost more than two of them; finished shards are kept.
     """
-    check_object(plan.spec)
     _open_set(plan, folder)  # refuses another set before anything is touched
     with held_folder(folder):
         manifest = _open_set(plan, folder)
@@ -95,10 +94,14 @@ def generate(
         foreign = set(shards_in(folder)) - {entry.file for entry in manifest.shards}
         if foreign:
             on_event(ForeignShardsFound(tuple(sorted(foreign))))
-        if todo:
-            make_folder(folder)
+        if not todo:
+            check_object(plan.spec)
+        else:
             check_inside(folder, [MANIFEST_NAME, *(entry.file for entry in manifest.shards)])
             with open_executor(plan) as executor:
+                executor.prepare(len(todo))
+                check_object(plan.spec)  # while they start
+                make_folder(folder)
                 _Execution(folder, executor, manifest, on_event, repair=repair).carry_out(todo)
         return read_manifest(folder)
 

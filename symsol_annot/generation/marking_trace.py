@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import SettingsError
+from symsol_annot.rendering.frames.shading import srgb_bytes
 from symsol_annot.rendering.settings import RenderSettings
-from symsol_annot.rendering.shading import srgb_bytes
 
 _SHADES = 4096  # more than 8 bits can tell apart
 _ROUNDING = 1  # levels, by float32

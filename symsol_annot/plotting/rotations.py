@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from symsol_annot.errors import RotationError
 from symsol_annot.plotting.canvas import PREDICTED, TRUTH, label_text, new_figure, write_figure
-from symsol_annot.rendering.shading import srgb
+from symsol_annot.rendering.frames.shading import srgb
 from symsol_annot.rotations.so3 import Angles, Rotations
 from symsol_annot.sets.dataset import Sample
 

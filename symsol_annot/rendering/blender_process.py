@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
-from importlib import util
+from importlib import import_module, util
 from itertools import groupby
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -227,6 +227,8 @@ def serve(start: Callable[[Any], tuple[Answer, Any]]) -> None:
     """
     connection, lifeline = Connection(int(sys.argv[1])), int(sys.argv[2])
     _die_with_parent(lifeline)
+    with contextlib.suppress(ImportError):  # which `open_blender` tells of
+        import_module("symsol_annot.rendering.blender")  # takes longest, and waits for no task
     try:
         answer, first_answer = start(connection.recv())
         remove_marked(Path(os.environ["TMPDIR"]))  # nothing is left, even if both are killed

@@ -33,7 +33,7 @@ class Window:
 
     @classmethod
     def around_each(cls, points: npt.NDArray[np.float64], width: int, height: int) -> "list[Window]":
-        """Return n windows, each as `around` has it for the points (n, k, 2) of one row."""
+        """Return n windows, each of which holds the points (n, k, 2) of one row, as `around` does, cut at the edges."""
         size = np.array([width, height])
         low = np.clip(np.floor(points.min(axis=1)) - 1, 0, size)
         sides = np.clip(np.ceil(points.max(axis=1)) + 1, 0, size) - low

@@ -55,8 +55,8 @@ def mug(tmp_path, monkeypatch):
 def parse(command, words):
     """Parse a command line in full, as click does before it runs anything."""
     while isinstance(command, click.Group):
-        command, *words = command.commands[words[0]], *words[1:]
-    command.make_context(command.name, list(words), parent=click.Context(app))
+        command, *words = command.get_command(None, words[0]), *words[1:]
+    command.make_context(command.name, list(words), parent=app.make_context("symsol-annot", ["info"]))
 
 
 @pytest.mark.parametrize("command", [(), *COMMANDS], ids=" ".join)

@@ -24,7 +24,7 @@ import sys
 from dataclasses import replace
 
 if "symsol_annot.generation.process" in sys.orig_argv:
-    import symsol_annot.rendering.supersampling as frames
+    import symsol_annot.rendering.frames.supersampling as frames
 
     views, pixel_averages = 0, frames.pixel_averages
     try:

@@ -149,6 +149,9 @@ class Altering:
     def capacity(self):
         return self._capacities.pop(0) if len(self._capacities) > 1 else self._capacities[0]
 
+    def prepare(self, shards):
+        self._inner.prepare(shards)
+
     def submit(self, entry, on_images):
         outcome = Future()
         outcome.set_result(self._alter(entry, self._inner.submit(entry, on_images).result()))

@@ -1,5 +1,7 @@
 """The engine opengl: each point's part by integer arithmetic, its light and depth by geometry, however it is drawn."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from oracle import CYLINDER_RADIUS, boundary
@@ -132,6 +134,35 @@ def test_a_round_side_is_lit_as_its_surface_is_turned():
             off = np.abs(view.rgb[rows, columns] - srgb)[is_side]
             assert is_side.sum() > 1000
             assert off.max() <= 1.5  # half a level of rounding, and what the average over a pixel bends
+
+
+def test_normals_are_interpolated_on_the_surface_and_not_in_the_picture():
+    """On a tetrahedron whose corners have the normals of a ball, the two differ by many levels."""
+    tetrahedron, camera, settings = load_object("tet"), Camera.filling(224), RenderSettings()
+    mesh = tetrahedron.mesh
+    normals = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    smooth = replace(tetrahedron, mesh=replace(mesh, corner_normals=normals[mesh.triangles]))
+    corners = mesh.vertices[mesh.triangles]
+    with RenderProcess(smooth, camera, settings) as renderer:
+        for R in rotations(4, seed=19):
+            view = renderer.render(R)
+            rows, columns = np.nonzero(~near_boundary(view.segmentation) & (view.segmentation == 1))
+            rays = np.stack([columns + 0.5 - 112, rows + 0.5 - 112, np.full(len(rows), camera.focal_px)], axis=1)
+            rays = (rays / camera.focal_px) @ R
+            start = np.array([0.0, 0.0, -4.0]) @ R
+            outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            speed = rays @ outward.T
+            steps = np.where(speed < 0, ((corners[:, 0] - start) * outward).sum(axis=1) / speed, -np.inf)
+            face = steps.argmax(axis=1)
+            points = start + steps.max(axis=1)[:, None] * rays
+            weights = np.linalg.solve(np.swapaxes(corners[face], 1, 2), points[:, :, None])[..., 0]
+            is_inside = weights.min(axis=1) > 0.1  # off the edges between faces
+            turned = np.einsum("pc,pci->pi", weights, normals[mesh.triangles][face])
+            cosine = -(turned @ R[2]) / np.linalg.norm(turned, axis=1)
+            linear = (settings.ambient + settings.diffuse * np.maximum(0.0, cosine))[:, None] * settings.body_colour
+            srgb = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+            assert is_inside.sum() > 1000
+            assert np.abs(view.rgb[rows, columns] - srgb)[is_inside & (cosine > 0.3)].max() <= 4.0
 
 
 @pytest.mark.parametrize("name", ["cube", "tetX", "icosa"])

@@ -6,10 +6,10 @@ import pytest
 from symsol_annot.errors import RenderError, SettingsError
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.frames.shading import CornerLight, linear, srgb, srgb_bytes
+from symsol_annot.rendering.frames.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
 from symsol_annot.rendering.renderer import Scene
 from symsol_annot.rendering.settings import SAMPLES_PER_AXIS, RenderSettings
-from symsol_annot.rendering.shading import CornerLight, linear, srgb, srgb_bytes
-from symsol_annot.rendering.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
 from symsol_annot.rotations.so3 import uniform_rotations
 
 SETTINGS = RenderSettings()

@@ -1,7 +1,7 @@
 """Where a view's time goes, inside Blender's process: python tools/perf/stages.py OBJECT [VIEWS] prints JSON.
 
 Each stage, and each way not taken, is timed over the same views, in turn, and its median is given in ms. "rasteriser
-alone" draws the object's window and writes nothing: what no change outside Blender and Mesa can undercut.
+alone" draws the object's window in one colour and reads a single point: what no change outside Mesa can undercut.
 """
 
 import argparse
@@ -11,11 +11,14 @@ import statistics
 import time
 
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rendering.blender import BlenderRenderer, _Window
+from symsol_annot.rendering.blender import opengl
+from symsol_annot.rendering.blender.pipeline import PipelineRenderer
 from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.frames.projection import projected
+from symsol_annot.rendering.frames.supersampling import part_pixels_of, pixel_averages
 from symsol_annot.rendering.renderer import Scene
 from symsol_annot.rendering.settings import RenderSettings
-from symsol_annot.rendering.supersampling import pixel_averages
+from symsol_annot.rendering.windows import Window
 from symsol_annot.sets.plan import label_rotation
 
 WARM_UP = 5
@@ -23,72 +26,65 @@ WARM_UP = 5
 
 def stages_of(name, views):
     """Return the median ms of each stage of a view, of a count, and of ways not taken."""
-    renderer = BlenderRenderer(Scene(load_object(name).mesh, Camera.filling(224), RenderSettings()))
+    renderers = _renderers(name)
     times = {}
     for index in range(views + WARM_UP):
-        for stage, ms in _times_of(renderer, label_rotation(0, name, "test", index)).items():
+        for stage, ms in _times_of(*renderers, label_rotation(0, name, "test", index)).items():
             times.setdefault(stage, []).append(ms)
-    return {stage: round(statistics.median(ms[WARM_UP:]), 3) for stage, ms in times.items()}
+    return {stage: round(statistics.median(ms[WARM_UP:]), 3) for stage, ms in times.items() if len(ms) > WARM_UP}
 
 
-def _times_of(renderer, R):
-    import bpy
+def _renderers(name):
+    mesh, camera = load_object(name).mesh, Camera.filling(224)
+    cut, opengl.with_few_slivers = opengl.with_few_slivers, lambda mesh: mesh
+    uncut = opengl.OpenGLRenderer(Scene(mesh, camera, RenderSettings()))
+    opengl.with_few_slivers = cut
+    with_depth = opengl.OpenGLRenderer(Scene(mesh, camera, RenderSettings(depth=True)))
+    ours = opengl.OpenGLRenderer(Scene(mesh, camera, RenderSettings()))
+    pipeline = PipelineRenderer(Scene(mesh, camera, RenderSettings("workbench")))  # last: it holds Blender's own scene
+    return ours, uncut, with_depth, pipeline
 
-    renderer._turn(R)
-    whole, counted = renderer._windows(R)
-    samples = renderer._draw(whole)
-    height, width = samples.shape[:2]
+
+def _times_of(renderer, uncut, with_depth, pipeline, R):
+    canvas, lattice = renderer._canvas, renderer._lattice
+    points, z = projected(renderer._mesh.vertices, R, lattice)
+    places = canvas.clip_space(points, z)
+    window = Window.around(points / 2, 224, 224).lattice(2)
+    point = Window(window.left, window.top, 1, 1)
+
+    def draw(shape, *light, around=window):
+        with canvas.bound():
+            return canvas.draw(shape.batch(places, *light), around)[0]
+
+    def rasterise():
+        """Draw as `canvas.draw` does, and read one point, for which the device has to be done."""
+        with canvas.bound():
+            batch = renderer._labelled.batch(places)
+            opengl.gpu.state.viewport_set(0, 0, canvas._side, canvas._side)
+            opengl.gpu.state.scissor_set(window.left, window.top, window.width, window.height)
+            canvas._buffer.clear(color=(0.0, 0.0, 0.0, 0.0), depth=1.0)
+            batch.draw()
+            canvas._buffer.read_color(point.left, point.top, 1, 1, 1, 0, "UINT")
+
+    words = draw(renderer._lit, R)
+    ids, colours = opengl._ids_in(words), renderer._colours.take(words)
     stages = {
         "whole view": lambda: renderer.render(R),
-        "draw the object's window, write and read it": lambda: renderer._draw(whole),
-        "rasteriser alone": lambda: bpy.ops.render.render(write_still=False),
-        "read the frame": lambda: renderer._frame.read(width, height),
-        "draw the marking's window as well": lambda: renderer._draw(counted) if counted != whole else None,
-        "ids of all samples": lambda: renderer._ids.of(samples),
-        "average": lambda: pixel_averages(samples, 2),
-        "an empty frame of 17 x 17 samples": lambda: renderer._draw(_Window(0, 0, 8, 8)),
-        "count of one candidate": lambda: renderer.marking_pixels(R[None]),
+        "project and round vertices": lambda: canvas.clip_space(*projected(renderer._mesh.vertices, R, lattice)),
+        "draw the object's window and read it": lambda: draw(renderer._lit, R),
+        "rasteriser alone": rasterise,
+        "draw and read a single point": lambda: draw(renderer._lit, R, around=point),
+        "ids and areas": lambda: part_pixels_of(opengl._ids_in(words), 2, renderer._parts),
+        "colours from the table": lambda: renderer._colours.take(words),
+        "average": lambda: pixel_averages(colours, 2).copy(),
+        "the view with flat faces as the mesh has them": lambda: uncut.render(R),
+        "the view with depth": lambda: with_depth.render(R),
+        "the view through Blender's render pipeline": lambda: pipeline.render(R),
     }
-    return {stage: _ms(call) for stage, call in stages.items()} | _ways_not_taken(renderer, R, whole)
-
-
-def _ways_not_taken(renderer, R, whole):
-    """Time the object's window with one thing changed: its file, its light, or Blender's own anti-aliasing."""
-    scene = renderer._blender_scene
-    image, shading, display = scene.render.image_settings, scene.display.shading, scene.display
-    changes = {
-        "the window as BMP": (image, "file_format", "BMP"),
-        "the window as PNG": (image, "file_format", "PNG"),
-        "the window in Workbench's studio light": (shading, "light", "STUDIO"),
-    }
-    renderer._draw(whole)  # sets up the camera
-    times = {name: _changed(*change, lambda: _write(scene)) for name, change in changes.items()}
-    everything = _Window(0, 0, renderer._camera.width, renderer._camera.height)
-    times["the whole image's samples, not the window"] = _ms(lambda: renderer._draw(everything))
-    renderer._draw(whole)
-    scene.render.resolution_percentage = 50
-    times["Blender's 8-sample anti-aliasing in place of the lattice"] = _changed(
-        display, "render_aa", "8", lambda: _write(scene)
-    )
-    times["a segmentation beside it"] = _ms(lambda: _write(scene))
-    scene.render.resolution_percentage = 100
-    return times
-
-
-def _changed(owner, attribute, value, call):
-    before = getattr(owner, attribute)
-    setattr(owner, attribute, value)
-    try:
-        call()  # the first after a change may build shaders
-        return _ms(call)
-    finally:
-        setattr(owner, attribute, before)
-
-
-def _write(scene):
-    import bpy
-
-    bpy.ops.render.render(write_still=True, scene=scene.name)
+    if (ids > 1).any():
+        stages["count of one candidate that is drawn"] = lambda: renderer.marking_pixels(R[None])
+        stages["count of it through Blender's render pipeline"] = lambda: pipeline.marking_pixels(R[None])
+    return {stage: _ms(call) for stage, call in stages.items()}
 
 
 def _ms(call):
@@ -102,7 +98,7 @@ if __name__ == "__main__":
     parser.add_argument("name", help="of the object")
     parser.add_argument("views", type=int, nargs="?", default=60)
     arguments = parser.parse_args()
-    os.environ.update(LP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
+    os.environ.update(LP_NUM_THREADS="0", OPENBLAS_NUM_THREADS="1")
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Blender talks
     print(json.dumps(stages_of(arguments.name, arguments.views)), file=answers, flush=True)

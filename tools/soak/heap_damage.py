@@ -38,7 +38,7 @@ import ctypes
 import random
 from pathlib import Path
 
-import symsol_annot.rendering.supersampling as frames
+import symsol_annot.rendering.frames.supersampling as frames
 
 PAGE, WORD = 4096, 8
 chance = random.Random({seed})

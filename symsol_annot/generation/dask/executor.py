@@ -110,6 +110,9 @@ class DaskCluster:
             raise self._lost()
         return self._threads
 
+    def prepare(self, shards: int) -> None:
+        """Leave it to the cluster's workers, which start with their first shard."""
+
     def submit(self, entry: ShardEntry, on_shard_images: OnShardImages) -> "Future[MadeShard]":
         """Begin a shard on a worker that has room."""
         self._on_shard_images[entry.file] = on_shard_images

@@ -10,6 +10,7 @@ depths, so that interpolating in the picture is interpolating on the surface.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -21,10 +22,11 @@ from symsol_annot.errors import RenderError
 from symsol_annot.rendering.blender import device
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import engine_named
-from symsol_annot.rendering.projection import doubled_areas, projected
+from symsol_annot.rendering.frames.flat_faces import with_few_slivers
+from symsol_annot.rendering.frames.projection import doubled_areas, projected
+from symsol_annot.rendering.frames.shading import srgb_bytes
+from symsol_annot.rendering.frames.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
 from symsol_annot.rendering.renderer import BODY, MARKING, LabelWindow, Scene, View
-from symsol_annot.rendering.shading import srgb_bytes
-from symsol_annot.rendering.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.system.closing import Closing
@@ -54,6 +56,7 @@ class OpenGLRenderer(Closing):
 
     def __init__(self, scene: Scene) -> None:
         device.open_device()
+        scene = replace(scene, mesh=with_few_slivers(scene.mesh))
         mesh, settings, self._camera = scene.mesh, scene.settings, scene.camera
         self._mesh, self._parts, self._n = mesh, mesh.parts, settings.samples_per_axis
         self._per_pixel, self._has_depth = settings.points_per_pixel, settings.depth

@@ -18,9 +18,9 @@ from symsol_annot.objects.mesh import Mesh
 from symsol_annot.rendering.blender import device
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import Drawing, Engine, engine_named
+from symsol_annot.rendering.frames.shading import CornerLight, linear, srgb_bytes
+from symsol_annot.rendering.frames.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
 from symsol_annot.rendering.renderer import MARKING, LabelWindow, Scene, View
-from symsol_annot.rendering.shading import CornerLight, linear, srgb_bytes
-from symsol_annot.rendering.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations, rotation_to_quat_wxyz
 from symsol_annot.system.closing import Closing

@@ -224,7 +224,7 @@ def run_writer(dataset, path, options=""):
 @pytest.mark.parametrize("second", ["callable", "array"])
 def test_of_two_writers_of_a_file_one_works_and_the_other_says_who_does(tetX, tmp_path, first, second):
     path = tmp_path / "preds.h5"
-    process = start_writer(tetX, path, given_as=first, seconds=1.0)
+    process = start_writer(tetX, path, given_as=first, seconds=0.25)
     other = model(1.0) if second == "callable" else np.stack([model(1.0)(i) for i in range(IMAGES)])
     words = rf"(?s)preds\.h5\.parts: another process \({process.pid}: .*python.*\) is writing there right now"
     with pytest.raises(OutputError, match=words):
@@ -240,7 +240,7 @@ def test_a_link_to_a_file_keeps_other_writers_of_the_file_out(tetX, tmp_path):
     (tmp_path / "here").mkdir()
     path = tmp_path / "here" / "preds.h5"
     (tmp_path / "link.h5").symlink_to(path)
-    process = start_writer(tetX, path, seconds=1.0)
+    process = start_writer(tetX, path, seconds=0.25)
     with pytest.raises(OutputError, match=f"another process .{process.pid}"):
         write("hypotheses", tmp_path / "link.h5", tetX, model(1.0))
     process.communicate(timeout=120)

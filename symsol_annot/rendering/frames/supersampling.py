@@ -28,7 +28,8 @@ def lanes_of(colours: Bytes) -> Lanes:
 def pixel_averages(colours: Lanes, n: int) -> Bytes:
     """Average over each pixel's square by the trapezoidal rule: (n H + 1, n W + 1) to (H, W, 3), halves rounded up.
 
-    Of a pixel's (n + 1)^2 points, those on its edges count half and those on its corners a quarter.
+    Of a pixel's (n + 1)^2 points, those on its edges count half and those on its corners a quarter. The result is a
+    view of every second byte of another array.
     """
     rows = _twice_trapezoids(colours[:-1:n], colours[n::n], [colours[k::n] for k in range(1, n)])
     sums = _twice_trapezoids(rows[:, :-1:n], rows[:, n::n], [rows[:, k::n] for k in range(1, n)])
@@ -37,7 +38,7 @@ def pixel_averages(colours: Lanes, n: int) -> Bytes:
         averages = (sums.view("<u2") // np.uint16(4 * n * n)).view("<u8")
     else:
         averages = (sums >> np.uint64(2 * n.bit_length())) & (np.uint64(255) * _EACH_LANE)
-    return np.ascontiguousarray(averages.view(np.uint8).reshape(*averages.shape, 8)[..., 0:6:2])
+    return averages.view(np.uint8).reshape(*averages.shape, 8)[..., 0:6:2]
 
 
 def segmentation_of(ids: Bytes, n: int) -> Bytes:
