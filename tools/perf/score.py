@@ -52,6 +52,9 @@ class FacingRenderer:
         parts = np.array([100.0, *self.marking_pixels(R_m2c[None])])
         return View(np.zeros((SIZE, SIZE, 3), np.uint8), np.zeros((SIZE, SIZE), np.uint8), parts)
 
+    def label_windows(self, R_m2c):
+        raise NotImplementedError("nothing is drawn")
+
     def marking_pixels(self, R_m2c):
         return 100.0 * (((self._camera - R_m2c @ self._middle) * (R_m2c @ self._normal)).sum(axis=1) > 0)
 

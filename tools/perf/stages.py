@@ -29,7 +29,7 @@ def stages_of(name, views):
     renderers = _renderers(name)
     times = {}
     for index in range(views + WARM_UP):
-        for stage, ms in _times_of(*renderers, label_rotation(0, name, "test", index)).items():
+        for stage, ms in _times_of(renderers, label_rotation(0, name, "test", index)).items():
             times.setdefault(stage, []).append(ms)
     return {stage: round(statistics.median(ms[WARM_UP:]), 3) for stage, ms in times.items() if len(ms) > WARM_UP}
 
@@ -45,7 +45,8 @@ def _renderers(name):
     return ours, uncut, with_depth, pipeline
 
 
-def _times_of(renderer, uncut, with_depth, pipeline, R):
+def _times_of(renderers, R):
+    renderer, uncut, with_depth, pipeline = renderers
     canvas, lattice = renderer._canvas, renderer._lattice
     points, z = projected(renderer._mesh.vertices, R, lattice)
     places = canvas.clip_space(points, z)
