@@ -228,7 +228,7 @@ def serve(start: Callable[[Any], tuple[Answer, Any]]) -> None:
     connection, lifeline = Connection(int(sys.argv[1])), int(sys.argv[2])
     _die_with_parent(lifeline)
     with contextlib.suppress(ImportError):  # which `open_blender` tells of
-        import_module("symsol_annot.rendering.blender")  # takes longest, and waits for no task
+        import_module("symsol_annot.rendering.blender.device")  # takes longest, and waits for no task
     try:
         answer, first_answer = start(connection.recv())
         remove_marked(Path(os.environ["TMPDIR"]))  # nothing is left, even if both are killed
@@ -256,13 +256,16 @@ def forget_chatter() -> None:
 
 
 def _environment(scratch: str) -> dict[str, str]:
-    """Return Blender's environment: one rasteriser thread, this Python's packages, nothing in the user's home."""
+    """Return Blender's environment: no other rasteriser threads, this Python's packages, nothing in the user's home.
+
+    Where this process has imported bpy, its path has folders of Blender's own scripts, in which another bpy lies.
+    """
     kept = {key: value for key, value in os.environ.items() if not key.startswith((*_DECIDES_PIXELS, *_SLOWS))}
     return {
         **kept,
         "LP_NUM_THREADS": "0",
         "OPENBLAS_NUM_THREADS": "1",
-        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path and "bpy" not in Path(path).parts),
         "TMPDIR": scratch,
         "BLENDER_USER_RESOURCES": scratch,
         "XDG_CACHE_HOME": scratch,  # else Blender makes ~/.cache/thumbnails

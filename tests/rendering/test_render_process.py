@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from importlib import util
 from pathlib import Path
 
 import numpy as np
@@ -224,6 +225,16 @@ def test_without_bpy_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(blender_process.util, "find_spec", lambda name: None)
     with pytest.raises(RendererMissingError, match=r"bpy.*not installed.*pip install 'symsol-annot\[render\]'"):
         open_renderer()
+
+
+def test_a_process_that_has_imported_bpy_itself_starts_another_blender(monkeypatch):
+    """Blender puts its own scripts on the path, in which lies a bpy that cannot be imported by itself."""
+    scripts = list(Path(util.find_spec("bpy").origin).parent.glob("*/scripts/modules"))
+    assert scripts
+    assert (scripts[0] / "bpy" / "__init__.py").is_file()
+    monkeypatch.syspath_prepend(scripts[0])
+    with open_renderer(size=17) as renderer:
+        assert renderer.render(np.eye(3)).rgb.shape == (17, 17, 3)
 
 
 def test_a_bpy_that_lacks_a_library_is_an_error_that_names_the_library(tmp_path, monkeypatch):

@@ -3,5 +3,3 @@
 Use it through `render_process.RenderProcess`: Blender writes to the terminal past Python, can take the whole process
 down, and is not thread-safe. One scene is drawn at a time.
 """
-
-import bpy  # noqa: F401 - the module gpu is a part of it, and can be imported after it alone

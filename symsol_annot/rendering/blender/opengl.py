@@ -14,6 +14,7 @@ from dataclasses import replace
 from itertools import product
 from typing import Any
 
+import bpy  # noqa: F401 - the module gpu is a part of it, and can be imported after it alone
 import gpu
 import numpy as np
 import numpy.typing as npt
