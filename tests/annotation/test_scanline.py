@@ -30,7 +30,7 @@ def turns_around(corners):
 
 def distance_along_axes(point, start, end):
     """Return the larger of |du| and |dv| from a point to a segment, over many of the segment's points."""
-    on_it = start + np.linspace(0, 1, 4001)[:, None] * (end - start)
+    on_it = start + np.linspace(0, 1, 2001)[:, None] * (end - start)
     return np.abs(on_it - point).max(axis=1).min()
 
 
