@@ -1,6 +1,7 @@
 """Fixtures: small sets, which are made once per session, a folder for every user, and the command in this process."""
 
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -40,8 +41,12 @@ def here(monkeypatch, capfd):
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["symsol-annot", *(str(word) for word in arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
+        handler = signal.getsignal(signal.SIGTERM)  # which processes forked later must not inherit
+        try:
+            with pytest.raises(SystemExit) as ended:
+                main()
+        finally:
+            signal.signal(signal.SIGTERM, handler)
         done = subprocess.CompletedProcess(arguments, ended.value.code, *capfd.readouterr())
         assert "Traceback" not in done.stdout + done.stderr
         return done
