@@ -26,7 +26,13 @@ from symsol_annot.rendering.engines import engine_named
 from symsol_annot.rendering.frames.flat_faces import with_few_slivers
 from symsol_annot.rendering.frames.projection import doubled_areas, projected
 from symsol_annot.rendering.frames.shading import srgb_bytes
-from symsol_annot.rendering.frames.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
+from symsol_annot.rendering.frames.supersampling import (
+    lanes_of,
+    part_pixels_of,
+    pixel_averages,
+    refuse_strays,
+    segmentation_of,
+)
 from symsol_annot.rendering.renderer import BODY, MARKING, LabelWindow, Scene, View
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations
@@ -129,6 +135,7 @@ class OpenGLRenderer(Closing):
             with self._canvas.bound():
                 for i in np.flatnonzero(is_drawn).tolist():
                     words, _ = self._canvas.draw(self._labelled.batch(places[i]), windows[i])
+                    refuse_strays(int(words.max()) >> 16, self._parts)
                     yield start + i, words, windows[i]
 
 

@@ -19,7 +19,13 @@ from symsol_annot.rendering.blender import device
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import Drawing, Engine, engine_named
 from symsol_annot.rendering.frames.shading import CornerLight, linear, srgb_bytes
-from symsol_annot.rendering.frames.supersampling import lanes_of, part_pixels_of, pixel_averages, segmentation_of
+from symsol_annot.rendering.frames.supersampling import (
+    lanes_of,
+    part_pixels_of,
+    pixel_averages,
+    refuse_strays,
+    segmentation_of,
+)
 from symsol_annot.rendering.renderer import MARKING, LabelWindow, Scene, View
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations, rotation_to_quat_wxyz
@@ -92,7 +98,9 @@ class PipelineRenderer(Closing):
         for R in R_m2c:
             self._object.rotation_quaternion = rotation_to_quat_wxyz(R)
             _, counted = self._windows(R)
-            found.append(LabelWindow(counted.lattice(self._n), self._draw(counted)[..., 0]))
+            ids = self._draw(counted)[..., 0]
+            refuse_strays(int(ids.max()), self._mesh.parts)
+            found.append(LabelWindow(counted.lattice(self._n), ids))
         return found
 
     def close(self) -> None:

@@ -52,16 +52,24 @@ def part_pixels_of(ids: Bytes, n: int, parts: int) -> npt.NDArray[np.float64]:
     Raises:
         RenderError: there is an id of no part, or none of any.
     """
+    refuse_strays(int(ids.max()), parts)
     counts = [int(np.count_nonzero(ids == part)) for part in range(BACKGROUND + 1, parts + 1)]
-    others = ids.size - sum(counts) - int(np.count_nonzero(ids == BACKGROUND))
-    if others:
-        raise RenderError(
-            f"Blender drew ids of no part, {int(ids.max())} the highest of 0 to {parts}: the frame has no "
-            "segmentation. Finished shards are kept. Please report this, with the command you gave"
-        )
     if not any(counts):
         raise RenderError("a frame came back empty: the object is not in it")
     return np.array(counts, dtype=np.float64) / n**2
+
+
+def refuse_strays(highest: int, parts: int) -> None:
+    """Refuse a frame by the highest id in it.
+
+    Raises:
+        RenderError: it is the id of no part.
+    """
+    if highest > parts:
+        raise RenderError(
+            f"Blender drew ids of no part, {highest} the highest of 0 to {parts}: the frame has no segmentation. "
+            "Finished shards are kept. Please report this, with the command you gave"
+        )
 
 
 def _twice_trapezoids(first: Lanes, last: Lanes, between: list[Lanes]) -> Lanes:
