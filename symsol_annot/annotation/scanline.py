@@ -51,6 +51,11 @@ class LatticePoints:
         _, first = np.unique(key, return_index=True)
         return cls(owner[first], row[first], column[first])
 
+    @classmethod
+    def none(cls) -> "LatticePoints":
+        """Return no points."""
+        return cls(*np.zeros((3, 0), dtype=np.int64))
+
     @property
     def uv(self) -> Floats:
         """Their u, v: (k, 2)."""
@@ -58,6 +63,11 @@ class LatticePoints:
 
     def __getitem__(self, chosen: Flags) -> "LatticePoints":
         return LatticePoints(self.owner[chosen], self.row[chosen], self.column[chosen])
+
+    def of_owners(self, chosen: Flags) -> "LatticePoints":
+        """Return the points of the chosen (n,) of n polygons, which are numbered anew."""
+        kept = self[chosen[self.owner]]
+        return LatticePoints((np.cumsum(chosen) - 1)[kept.owner], kept.row, kept.column)
 
     def __or__(self, other: "LatticePoints") -> "LatticePoints":
         return LatticePoints.of((self.owner, self.row, self.column), (other.owner, other.row, other.column))

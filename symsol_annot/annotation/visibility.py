@@ -8,6 +8,7 @@ derives the bounds.
 """
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -68,6 +69,9 @@ class MarkingVisibility:
         self._two_shortest = np.sort(lengths, axis=0)[:2].sum(axis=0)
         lines = np.concatenate([np.cross(ends, corners), corners - ends], axis=-1) / lengths[..., None]
         self._lines = lines.reshape(-1, 6)
+        is_rim = self._neighbours == len(self._triangles)
+        self._rim_length = lengths[is_rim].sum()
+        self._rim_loops = _connected(self._triangles.T[is_rim], self._triangles.T[_NEXT][is_rim])
         self._middle = (self._vertices.min(axis=0) + self._vertices.max(axis=0)) / 2.0
         self._radius = np.linalg.norm(self._vertices - self._middle, axis=1).max()
 
@@ -91,23 +95,17 @@ class MarkingVisibility:
         Returns:
             (n,) and (n,); the renderer's count lies between them.
         """
-        lower, upper = np.zeros(len(R_m2c), dtype=np.int64), np.zeros(len(R_m2c), dtype=np.int64)
-        step = max(_PRODUCT // self._lines.size, 1)
-        for start in range(0, len(R_m2c), step):
-            block = slice(start, start + step)
-            lower[block], upper[block] = self._quick_bounds(R_m2c[block])
-        (open_,) = np.nonzero((upper > 0) & (lower < enough))
-        if len(open_):
-            lower[open_], upper[open_] = self._count(R_m2c[open_])
-        return lower, upper
-
-    def _quick_bounds(self, R_m2c: Rotations) -> tuple[Counts, Counts]:
-        """Return lower bounds around one point, and upper bounds of 0 where every triangle faces away for sure."""
-        facing, lower = self._facing(R_m2c), np.zeros(len(R_m2c), dtype=np.int64)
-        most = facing.max(axis=0)
-        upper = np.where(most > -self._facing_slack(R_m2c, self._two_shortest.max()), np.iinfo(np.int64).max, 0)
-        (seen,) = np.nonzero(most > 0)
-        lower[seen] = self._around_one_point(R_m2c[seen], facing[:, seen])
+        facing = self._facing(R_m2c)
+        most, lower = facing.max(axis=0), self._by_area(R_m2c, facing)
+        upper = np.where(most > 0, np.iinfo(np.int64).max, 0)
+        (open_,) = np.nonzero((most > 0) & (lower < enough))
+        for some in _in_products(open_, self._lines.size):
+            lower[some] = np.maximum(lower[some], self._around_one_point(R_m2c[some], facing[:, some]))
+        (open_,) = np.nonzero((lower < enough) | (most <= 0))
+        turned, is_seen = self._turned(R_m2c[open_], facing[:, open_]), most[open_] > 0
+        upper[open_] = np.bincount(turned.owner, minlength=len(open_))
+        if len(seen := open_[is_seen]):
+            lower[seen], upper[seen] = self._count(R_m2c[seen], facing[:, seen], turned.of_owners(is_seen))
         return lower, upper
 
     def _facing(self, R_m2c: Rotations) -> Floats:
@@ -116,26 +114,42 @@ class MarkingVisibility:
         The projected area is that times the focal length squared, over the product of the three corners' depths.
         """
         camera = -self._lattice.distance * R_m2c[:, 2]  # in model coordinates: R^T (0, 0, -distance)
-        return np.asarray(self._planes @ np.column_stack([camera, np.ones(len(camera))]).T)
+        places = np.column_stack([camera, np.ones(len(camera))]).T
+        parts = _in_products(np.arange(places.shape[1]), self._planes.size)
+        return np.concatenate([self._planes @ places[:, part] for part in parts], axis=1)
 
     def _depths(self, R_m2c: Rotations) -> tuple[Floats, Floats]:
         """Return depths (n,) that no point of the marking is nearer than, and farther than."""
         depth = R_m2c[:, 2] @ self._middle + self._lattice.distance
         return depth - self._radius, depth + self._radius
 
-    def _facing_slack(self, R_m2c: Rotations, two_shortest: Floats) -> Floats:
-        """Return by how much moved vertices can change the facing of triangles with such sides: (..., n).
+    def _facing_slack(self, R_m2c: Rotations) -> Floats:
+        """Return by how much moved vertices can change the facing of triangles: (T, n).
 
         Twice a projected area, of sides f and g, changes by at most 2 e (|f|_1 + |g|_1) + 8 e^2.
         """
         near, far = self._depths(R_m2c)
         scale = far**3 / self._lattice.focal_px**2
         by_length = 2.0 * self._shift * np.sqrt(2.0) * self._longest(near) * scale
-        return two_shortest * by_length + 8.0 * self._shift**2 * scale
+        return self._two_shortest[:, None] * by_length + 8.0 * self._shift**2 * scale
 
     def _longest(self, near: Floats) -> Floats:
         """Return the most spacings that a model length of 1 can span anywhere in view, at a depth of `near` or more."""
         return self._lattice.focal_px / near * self._lattice.distance / np.sqrt(self._lattice.distance**2 - 1.0)
+
+    def _by_area(self, R_m2c: Rotations, facing: Floats) -> Counts:
+        """Return a lower bound (n,) where all of the marking faces the camera, and 0 elsewhere.
+
+        The front's outline is then the marking's own rim. A lattice point is the middle of a unit cell. Where it is not
+        counted for sure, it is outside the front or nearer than sqrt(2) e to the rim, so what of its cell is inside
+        the front is nearer than r = sqrt(2) (1 / 2 + e). Points so near to k loops of length L cover 2 r L + k pi r^2
+        at most.
+        """
+        near, far = self._depths(R_m2c)
+        area = facing.sum(axis=0) * self._lattice.focal_px**2 / (2.0 * far**3)
+        reach = np.sqrt(2.0) * (0.5 + self._shift)
+        beside = 2.0 * reach * self._rim_length * self._longest(near) + self._rim_loops * np.pi * reach**2
+        return np.where((facing > 0).all(axis=0), np.maximum(area - beside, 0.0), 0.0).astype(np.int64)
 
     def _around_one_point(self, R_m2c: Rotations, facing: Floats) -> Counts:
         """Return a lower bound (n,): the lattice points of a square in the front, around one amid it.
@@ -173,22 +187,25 @@ class MarkingVisibility:
         is_other = np.concatenate([~in_front, np.ones_like(in_front[:1])])  # beyond the marking nothing is its front
         return in_front & is_other[self._neighbours]
 
-    def _count(self, R_m2c: Rotations) -> tuple[Counts, Counts]:
+    def _count(self, R_m2c: Rotations, facing: Floats, turned: LatticePoints) -> tuple[Counts, Counts]:
         """Return close bounds: the points inside the front's outline, less or plus what moved vertices can change.
 
         That is near the outline, or in a triangle seen from so little behind that it may be drawn.
         """
-        n, points, facing = len(R_m2c), self._project(R_m2c), self._facing(R_m2c)
+        n, points = len(R_m2c), self._project(R_m2c)
         outline = self._outline(points, facing > 0)
         count, near = count_inside(outline, n), points_near(outline, self._shift)
         is_less = is_inside(near, outline)
-        turned = self._in_turned(
-            points, (facing <= 0) & (facing >= -self._facing_slack(R_m2c, self._two_shortest[:, None]))
-        )
-        turned = turned[~is_inside(turned, outline)]
-        is_behind = self._is_within_silhouette(R_m2c[turned.owner], turned.uv, 2.0 * self._shift)
-        less, more = near[is_less].owner, (near[~is_less] | turned[~is_behind]).owner
+        less, more = near[is_less].owner, (near[~is_less] | turned[~is_inside(turned, outline)]).owner
         return count - np.bincount(less, minlength=n), count + np.bincount(more, minlength=n)
+
+    def _turned(self, R_m2c: Rotations, facing: Floats) -> LatticePoints:
+        """Return the points that triangles (T, n) may show that are seen from behind, but turn when vertices move."""
+        slivers = (facing <= 0) & (facing >= -self._facing_slack(R_m2c))
+        if not slivers.any():
+            return LatticePoints.none()
+        held = self._in_turned(R_m2c, slivers)
+        return held[~self._is_within_silhouette(R_m2c[held.owner], held.uv, 2.0 * self._shift)]
 
     def _is_within_silhouette(self, R_m2c: Rotations, centres: Floats, margin: float) -> Flags:
         """Tell which points (k, 2) of the lattice are inside the body's silhouette by a margin along u and v.
@@ -212,14 +229,15 @@ class MarkingVisibility:
         start, end = self._triangles[triangle, side], self._triangles[triangle, (side + 1) % 3]
         return Segments(image, points[image, start], points[image, end])
 
-    def _in_turned(self, points: Floats, perhaps: Flags) -> LatticePoints:
-        """Return the points that triangles (T, n) seen from behind may hold when moved vertices turn them round.
+    def _in_turned(self, R_m2c: Rotations, slivers: Flags) -> LatticePoints:
+        """Return the points that slivers (T, n) may hold when moved vertices turn them round.
 
         A moved triangle a, b, c that is drawn has a point p on the left of all its sides, and moving changes
         (a - p) x (b - p) by at most e (|a - p|_1 + |b - p|_1) + 2 e^2.
         """
-        triangle, image = np.nonzero(perhaps)
-        corners = points[image, self._triangles[triangle].T]  # (3, s, 2)
+        triangle, image = np.nonzero(slivers)
+        corners = self._vertices[self._triangles[triangle]] @ R_m2c[image].transpose(0, 2, 1)
+        corners = self._lattice.project(corners).transpose(1, 0, 2)  # (3, s, 2)
         sides = corners[_NEXT] - corners
         lengths = np.hypot(sides[..., 0], sides[..., 1])
         sliver, longest = np.arange(len(image)), lengths.argmax(axis=0)
@@ -250,6 +268,12 @@ def _cross(f: Floats, g: Floats) -> Floats:
     return f[..., 0] * g[..., 1] - f[..., 1] * g[..., 0]
 
 
+def _in_products(chosen: npt.NDArray[np.int64], size: int) -> Iterator[npt.NDArray[np.int64]]:
+    """Give numbers (k,) in pieces whose columns a matrix of `size` entries is multiplied with in one thread."""
+    step = max(_PRODUCT // size, 1)
+    return (chosen[start : start + step] for start in range(0, len(chosen), step))
+
+
 def _planes(mesh: Mesh) -> tuple[Floats, Floats]:
     """Return the planes of a mesh's faces, each about once: outward normals (p, 3) and offsets (p,) from the origin."""
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
@@ -258,6 +282,16 @@ def _planes(mesh: Mesh) -> tuple[Floats, Floats]:
     offsets = (normals * a).sum(axis=1)
     _, first = np.unique(np.column_stack([normals, offsets]).round(6), axis=0, return_index=True)
     return normals[first], offsets[first]
+
+
+def _connected(start: npt.NDArray[np.int64], end: npt.NDArray[np.int64]) -> int:
+    """Return in how many connected groups the sides (k,) from one vertex to another lie."""
+    group = np.arange(max(start.max(), end.max()) + 1)
+    while not np.array_equal(group[start], group[end]):
+        first = np.minimum(group[start], group[end])
+        np.minimum.at(group, start, first)
+        np.minimum.at(group, end, first)
+    return len(np.unique(group[start]))
 
 
 def _neighbours(triangles: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

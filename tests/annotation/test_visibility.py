@@ -45,9 +45,9 @@ def grazing(name, count, seed, within_deg):
     return np.stack(found)
 
 
-def count_with_moved_vertices(mesh, R, moves):
+def count_with_moved_vertices(mesh, R, moves, size=SIZE):
     """Return the marking's samples as a rasteriser counts them that moves vertex k, once projected, by moves[k]."""
-    lattice = Camera.filling(SIZE).lattice(2)
+    lattice = Camera.filling(size).lattice(2)
     world = mesh.vertices @ R.T
     points, closeness = lattice.project(world) + moves, 1.0 / (world[:, 2] + lattice.distance)
     marked = points[np.unique(mesh.triangles[mesh.is_marking])]
@@ -108,6 +108,30 @@ def test_however_vertices_are_moved_the_count_lies_between_the_bounds(name, shif
         lower, upper = visibility(name).bounds(rotations, enough)
         assert (lower <= counts.min(axis=1)).all()
         assert (counts.max(axis=1) <= upper).all()
+
+
+@pytest.mark.parametrize("name", ["tetX", "cylO"])
+@pytest.mark.parametrize("shift", [0.002, 1.0])
+def test_a_marking_that_faces_the_camera_shows_at_least_its_area_less_a_strip_along_its_rim(name, shift, monkeypatch):
+    monkeypatch.setattr("symsol_annot.annotation.visibility.vertex_shift", lambda camera, settings: shift)
+    size, mesh, camera = 96, load_object(name).mesh, np.array([0, 0, -Camera.filling(96).lattice(2).distance])
+    corners = mesh.vertices[mesh.triangles[mesh.is_marking]]
+    middle, (a, b, c) = corners.mean(axis=(0, 1)), corners[0]
+    normal = np.cross(b - a, c - a)
+    facing = []
+    for R in uniform_rotations(400, np.random.default_rng(10)):
+        towards = camera - R @ middle
+        if R @ normal @ towards > 0.6 * np.linalg.norm(normal) * np.linalg.norm(towards):
+            facing.append(R)
+    rotations, found = np.stack(facing), visibility(name, size)
+    counts = []
+    for R in rotations:
+        points = Camera.filling(size).lattice(2).project(mesh.vertices @ R.T)
+        amid = points[np.unique(mesh.triangles[mesh.is_marking])].mean(axis=0)
+        counts.append(count_with_moved_vertices(mesh, R, shift * np.sign(amid - points), size))  # all towards its middle
+    lower = found._by_area(rotations, found._facing(rotations))
+    assert (lower <= counts).all()
+    assert (lower > 0.1 * np.array(counts)).any()  # and it is worth something
 
 
 def test_bounds_asked_for_in_full_are_close():

@@ -51,7 +51,7 @@ def machine():
 
 def measure(*, quick):
     """Take all measurements; see docs/performance.md for what each means."""
-    images, rounds, views, counts = (80, 1, 4, (50, 200)) if quick else (320, 5, 30, (500, 5000))
+    images, rounds, views, counts = (80, 1, 4, (300, 600)) if quick else (320, 5, 30, (500, 5000))
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         found = {
