@@ -45,7 +45,7 @@ from symsol_annot.sets.manifest import (
 from symsol_annot.sets.membership import membership_faults
 from symsol_annot.sets.plan import SetPlan
 from symsol_annot.sets.shard.laws import label_faults
-from symsol_annot.sets.shard.reader import header_mismatches, open_shard
+from symsol_annot.sets.shard.reader import header_mismatches, open_shard, prepare_to_open
 from symsol_annot.system.files import check_inside, make_folder, written_atomically
 from symsol_annot.system.locks import held_folder
 from symsol_annot.system.reading import file_sha256
@@ -100,7 +100,8 @@ def generate(
             check_inside(folder, [MANIFEST_NAME, *(entry.file for entry in manifest.shards)])
             with open_executor(plan) as executor:
                 executor.prepare(len(todo))
-                check_object(plan.spec)  # while they start
+                prepare_to_open()
+                check_object(plan.spec)  # while all these start
                 make_folder(folder)
                 _Execution(folder, executor, manifest, on_event, repair=repair).carry_out(todo)
         return read_manifest(folder)

@@ -5,7 +5,7 @@ A group is a (G, 3, 3) float64 array of rotations that act on column vectors, th
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +13,9 @@ import numpy.typing as npt
 from symsol_annot.errors import RotationError
 from symsol_annot.rotations.so3 import Rotations, rotations_about
 
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
-
 Z_AXIS = (0.0, 0.0, 1.0)
-_SAME_ROTATION = 1e-6  # entries closer than this are the same element of a group
+_SAME_ROTATION = 1e-6  # rotations whose entries differ by less, altogether, are the same element of a group
+_PRODUCTS = 1 << 22  # of rotations with elements, held at once
 
 GroupParameter: TypeAlias = Literal["order", "axis"]
 
@@ -102,24 +100,17 @@ def nearest_element(group: Rotations, R: Rotations) -> npt.NDArray[np.intp]:
     Raises:
         RotationError: a rotation is not an element of the group.
     """
-    return _nearest_in(_search_tree(group), R)
-
-
-def _search_tree(group: Rotations) -> "cKDTree":
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - takes 0.2 s, and loading a set needs none
-
-    return cKDTree(group.reshape(-1, 9))
-
-
-def _nearest_in(tree: "cKDTree", R: Rotations) -> npt.NDArray[np.intp]:
-    distance, index = tree.query(R.reshape(-1, 9))
-    if np.any(distance > _SAME_ROTATION):
+    elements, asked = group.reshape(-1, 9), R.reshape(-1, 9)
+    step = max(_PRODUCTS // len(group), 1)
+    parts = [asked[start : start + step] for start in range(0, len(asked), step)]
+    index = np.concatenate([(part @ elements.T).argmax(axis=1) for part in parts])  # the largest tr(R^T g) is nearest
+    is_other = np.linalg.norm(asked - elements[index], axis=1) > _SAME_ROTATION
+    if is_other.any():
         raise RotationError(
-            f"{int(np.count_nonzero(distance > _SAME_ROTATION))} of {len(distance)} rotations "
-            f"are not among the {tree.n} elements of the group; the group is not closed or the wrong one"
+            f"{np.count_nonzero(is_other)} of {len(asked)} rotations "
+            f"are not among the {len(group)} elements of the group; the group is not closed or the wrong one"
         )
-    found: npt.NDArray[np.intp] = np.asarray(index, dtype=np.intp).reshape(R.shape[:-2])
-    return found
+    return index.reshape(R.shape[:-2])
 
 
 def left_cosets(group: Rotations, subgroup: Rotations) -> npt.NDArray[np.intp]:
@@ -136,10 +127,9 @@ def left_cosets(group: Rotations, subgroup: Rotations) -> npt.NDArray[np.intp]:
         RotationError: the subgroup's products leave the group.
     """
     unseen = np.ones(len(group), dtype=bool)
-    cosets, tree = [], _search_tree(group)
-    for index, element in enumerate(group):
-        if unseen[index]:
-            members = _nearest_in(tree, element @ subgroup)
+    products, cosets = nearest_element(group, group[:, None] @ subgroup), []
+    for members in products:
+        if unseen[members[0]]:
             unseen[members] = False
             cosets.append(members)
     return np.stack(cosets)

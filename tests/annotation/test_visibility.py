@@ -128,7 +128,9 @@ def test_a_marking_that_faces_the_camera_shows_at_least_its_area_less_a_strip_al
     for R in rotations:
         points = Camera.filling(size).lattice(2).project(mesh.vertices @ R.T)
         amid = points[np.unique(mesh.triangles[mesh.is_marking])].mean(axis=0)
-        counts.append(count_with_moved_vertices(mesh, R, shift * np.sign(amid - points), size))  # all towards its middle
+        counts.append(
+            count_with_moved_vertices(mesh, R, shift * np.sign(amid - points), size)
+        )  # all towards its middle
     lower = found._by_area(rotations, found._facing(rotations))
     assert (lower <= counts).all()
     assert (lower > 0.1 * np.array(counts)).any()  # and it is worth something

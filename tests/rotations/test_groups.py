@@ -1,5 +1,8 @@
 """Finite groups of rotations: they are groups, scipy's, with their elements found and their cosets a partition."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -201,3 +204,12 @@ def test_left_cosets_are_not_right_cosets():
 def test_a_subgroup_from_outside_the_group_is_refused():
     with pytest.raises(RotationError, match=r"not among the 12 elements"):
         left_cosets(tetrahedral_group(), cyclic_group(4))
+
+
+def test_cosets_are_found_without_scipy_which_a_first_picture_would_wait_for():
+    code = (
+        "import sys; from symsol_annot.objects.spec import load_object;"
+        "print(load_object('tetX').cosets.shape, 'scipy' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[0] == "(4, 3) False"

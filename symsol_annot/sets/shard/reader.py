@@ -308,6 +308,11 @@ class _Describer:
         self._process: Hdf5Process | None = None
         self._inherited: list[Hdf5Process] = []  # kept, so that no process waits for the child of another one
 
+    def start(self) -> None:
+        """Start the process if there is none, so that it is ready when it is needed; a failure shows then."""
+        with self._lock, contextlib.suppress(DamageError):
+            self._process = self._process or Hdf5Process(_LIMITS)
+
     def describe(self, path: Path) -> Description:
         """Return what a file is, and where the chunks of its data sets lie.
 
@@ -343,6 +348,7 @@ class _Describer:
 
 
 _DESCRIBER = _Describer()
+prepare_to_open = _DESCRIBER.start
 atexit.register(_DESCRIBER.close)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_DESCRIBER.forget)
