@@ -35,7 +35,8 @@ def predict(checkpoint: Path, data: Path, split: str, out: Path, device: str, me
     chosen = devices.choose_device(device)
     model = checkpoints.open_checkpoint(checkpoint)
     with dataset.load(find_set(data, model.record.object), split) as images:
-        track = inference.predict(model, images, out, chosen, method=method, level=level)
+        tracks = inference.predict(model, images, out, chosen, method=method, level=level)
     say(
-        f"{out}: {track} about {len(images)} images of {images.object}\nNext:\n  symsol-annot score {out} --data {data}"
+        f"{out}: {', '.join(tracks)} about {len(images)} images of {images.object}\n"
+        f"Next:\n  symsol-annot score {out} --data {data}"
     )

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from symsol_annot.errors import RotationError, SettingsError
-from symsol_annot.rotations.so3 import Rotations, rotation_to_quat_wxyz, rotations_about, rotations_sha256
+from symsol_annot.rotations.so3 import Angles, Rotations, rotation_to_quat_wxyz, rotations_about, rotations_sha256
 
 MAX_LEVEL = 6
 STANDARD_LEVEL = 4  # 294,912 rotations, 3.75 degrees from tilt to tilt
@@ -175,8 +175,13 @@ class GridIndex:
         index: npt.NDArray[np.int64] = self._tree.query(rotation_to_quat_wxyz(R))[1] % len(self)
         return index
 
-    def within(self, R: Rotations, angle_rad: float) -> npt.NDArray[np.int64]:
-        """Return the sorted indices of all grid rotations at most `angle_rad` (+ 1e-9) from any of R (n, 3, 3)."""
+    def within(self, R: Rotations, angle_rad: Angles | float) -> npt.NDArray[np.int64]:
+        """Return the sorted indices of all grid rotations at most `angle_rad` (+ 1e-9) from any of R (n, 3, 3).
+
+        Args:
+            R: the rotations.
+            angle_rad: one for all, or (n,), each up to pi.
+        """
         chord = 2.0 * np.sin((angle_rad + _ROUNDING_RAD) / 4.0)
         lists = self._tree.query_ball_point(rotation_to_quat_wxyz(R), chord)
         found = np.concatenate([np.zeros(0), *lists]).astype(np.int64)

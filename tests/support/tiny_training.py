@@ -5,6 +5,7 @@ from torch import nn
 from symsol_annot.bench.models.kinds import Recipe
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.methods.mixture.recipe import MixtureRecipe
 from symsol_annot.bench.models.networks import resnet
 from symsol_annot.bench.models.networks.backbones import BACKBONES, Backbone
 from symsol_annot.bench.models.training.loop import Options
@@ -54,5 +55,6 @@ CLASSIFIER = ClassifierRecipe(
     frozen_epochs=2,
     evaluation_level=0,
 )
-RECIPES: dict[str, Recipe] = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER}
+MIXTURE = MixtureRecipe(**_COMMON, structure="free", components=3, members=4)
+RECIPES: dict[str, Recipe] = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER, "mixture": MIXTURE}
 CPU = Options(device="cpu")

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TypeVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
+from symsol_annot.bench.models.recipe_keys import AUTO, BFLOAT16, LEAST_BFLOAT16_SIZE
 from symsol_annot.errors import ModelError, SettingsError
 
 T = TypeVar("T")
@@ -48,8 +49,25 @@ def hardware(device: torch.device) -> str:
 
 
 def has_bfloat16(device: torch.device) -> bool:
-    """Tell whether the backbone is trained in bfloat16: on GPUs that have it. Predictions are in float32 everywhere."""
-    return device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+    """Tell whether a device computes in bfloat16 by itself, so that it is faster there."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    with contextlib.suppress(OSError):
+        return device.type == "cpu" and bool({"avx512_bf16", "amx_bf16"} & set(_CPUINFO.read_text().split()))
+    return False
+
+
+def takes_bfloat16(device: torch.device, precision: str, side: int) -> bool:
+    """Tell whether a backbone is trained in bfloat16; predictions are in float32 everywhere.
+
+    Args:
+        device: that it is trained on.
+        precision: the recipe's key.
+        side: of its input, in pixels.
+    """
+    if precision != AUTO:
+        return precision == BFLOAT16
+    return has_bfloat16(device) and (device.type != "cpu" or side >= LEAST_BFLOAT16_SIZE)
 
 
 def laid_out_for(device: torch.device, model: Model) -> Model:
@@ -63,9 +81,10 @@ def laid_out_for(device: torch.device, model: Model) -> Model:
 
 
 @contextlib.contextmanager
-def backbone_precision(device: torch.device) -> Iterator[None]:
-    """Run what is inside in bfloat16 where `has_bfloat16`."""
-    with torch.autocast(device.type, torch.bfloat16, enabled=has_bfloat16(device)):
+def backbone_precision(images: Tensor, precision: str) -> Iterator[None]:
+    """Run what is inside in bfloat16 where `takes_bfloat16`, of images (B, H, W, 3) on their device."""
+    device = images.device
+    with torch.autocast(device.type, torch.bfloat16, enabled=takes_bfloat16(device, precision, images.shape[1])):
         yield
 
 

@@ -8,6 +8,7 @@ import torch
 import symsol_annot
 from symsol_annot.bench.models.devices import full_precision
 from symsol_annot.bench.models.kinds import kind_of
+from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.recipe import recipe_to_toml
 from symsol_annot.bench.models.training.checkpoints import Checkpoint
 from symsol_annot.rotations.grid import STANDARD_LEVEL
@@ -22,7 +23,7 @@ def predict(
     *,
     method: str | None = None,
     level: int = STANDARD_LEVEL,
-) -> str:
+) -> tuple[str, ...]:
     """Write a model's predictions about a split; where that was stopped, the same model goes on with what is left.
 
     Args:
@@ -34,7 +35,7 @@ def predict(
         level: of the grid a classifier is asked on; only the standard one ranks.
 
     Returns:
-        The name of the track.
+        The names of the tracks.
 
     Raises:
         ModelError: the model was trained on another object or size of image, or the device has too little memory.
@@ -47,8 +48,9 @@ def predict(
     by, who = method or checkpoint.record.name, identity(checkpoint)
     with full_precision():
         model = checkpoint.model.to(device)
-        kind.method.write_predictions(model, dataset, path, method=by, level=level, resume=who)
-    return kind.track
+        asked = Asked(by, level, who, checkpoint.record.calibration)
+        kind.method.write_predictions(model, checkpoint.record.recipe, dataset, path, asked)
+    return kind.tracks
 
 
 def identity(checkpoint: Checkpoint) -> str:

@@ -7,8 +7,9 @@ from typing import TypeAlias
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
 from symsol_annot.bench.models.methods.method import Method
+from symsol_annot.bench.models.methods.mixture.recipe import MixtureRecipe
 
-Recipe: TypeAlias = HypothesisRecipe | ClassifierRecipe
+Recipe: TypeAlias = HypothesisRecipe | ClassifierRecipe | MixtureRecipe
 
 
 @dataclass(frozen=True)
@@ -19,15 +20,15 @@ class ModelKind:
         name: the value of a recipe's key `model`.
         title: in messages.
         recipe: its class, whose fields are the recipe's keys.
-        track: of its predictions.
-        best_by: the metric of that track by which the best epoch is chosen.
+        tracks: of its predictions.
+        best_by: the metric by which the best epoch is chosen.
         module: has METHOD; by its name, as recipes are read without torch.
     """
 
     name: str
     title: str
     recipe: type[Recipe]
-    track: str
+    tracks: tuple[str, ...]
     best_by: str
     module: str
 
@@ -46,7 +47,7 @@ MODEL_KINDS = {
             name="hypotheses",
             title="hypothesis network",
             recipe=HypothesisRecipe,
-            track="hypotheses",
+            tracks=("hypotheses",),
             best_by="recall_mean_error_rad",
             module=f"{_METHODS}.hypotheses.method",
         ),
@@ -54,9 +55,17 @@ MODEL_KINDS = {
             name="classifier",
             title="classifier",
             recipe=ClassifierRecipe,
-            track="classifier",
+            tracks=("classifier",),
             best_by="f_measure",
             module=f"{_METHODS}.classifier.method",
+        ),
+        ModelKind(
+            name="mixture",
+            title="mixture density",
+            recipe=MixtureRecipe,
+            tracks=("hypotheses", "classifier", "density"),
+            best_by="log_likelihood_at_gt",
+            module=f"{_METHODS}.mixture.method",
         ),
     )
 }

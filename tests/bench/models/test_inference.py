@@ -44,7 +44,7 @@ def test_split(tmp_path_factory):
 def test_hypotheses_are_the_models_of_each_image(test_split, tmp_path, monkeypatch):
     monkeypatch.setattr(hypothesis_method, "_BLOCK", 2)
     given = checkpoint("small-wta")
-    assert predict(given, test_split, tmp_path / "preds.h5", CPU) == "hypotheses"
+    assert predict(given, test_split, tmp_path / "preds.h5", CPU) == ("hypotheses",)
     with h5py.File(tmp_path / "preds.h5") as file:
         assert (file.attrs["method"], file["hypotheses"].shape) == ("small-wta", (5, 30, 3, 3))
         for i, found in enumerate(file["hypotheses"]):
@@ -55,7 +55,7 @@ def test_hypotheses_are_the_models_of_each_image(test_split, tmp_path, monkeypat
 def test_probabilities_are_the_models_at_the_queries_and_on_the_grid(test_split, tmp_path):
     given = checkpoint("small-classifier")
     given.model.second_stage.logit.bias.data += 1.5  # so that some are above the floor
-    assert predict(given, test_split, tmp_path / "preds.h5", CPU, method="mine", level=1) == "classifier"
+    assert predict(given, test_split, tmp_path / "preds.h5", CPU, method="mine", level=1) == ("classifier",)
     queries = Queries(test_split.fingerprint, test_split.symmetry_group)
     grid = torch.from_numpy(equivolumetric_grid(1)).float()
     with h5py.File(tmp_path / "preds.h5") as file, torch.no_grad():

@@ -217,11 +217,11 @@ def test_a_backbone_is_a_key_that_is_left_out_where_it_is_the_default():
 
 @pytest.mark.parametrize("kind", MODEL_KINDS.values(), ids=MODEL_KINDS)
 def test_a_kind_of_model_is_found_by_its_recipes_and_its_figures_are_the_scorers(kind):
-    made = recipe({"hypotheses": "wta-cosine", "classifier": "classifier"}[kind.name])
+    made = recipe({"hypotheses": "wta-cosine", "classifier": "classifier", "mixture": "mixture"}[kind.name])
     assert kind_of(made) is kind
     assert recipe_to_toml(made).startswith(f'model = "{kind.name}"\n')
     assert kind.best_by in FIGURES
-    assert kind.track in TRACKS
+    assert set(kind.tracks) <= set(TRACKS)
 
 
 # --- refusals ---
@@ -238,7 +238,7 @@ def test_a_name_that_is_none_is_refused_with_those_that_are():
         ({"learning_rate": 1}, "learning_rate: is no key of a hypotheses recipe; keys are title, epochs, batch_size"),
         ({"negatives": 8}, "negatives: is no key of a hypotheses recipe"),
         ({"batch_size": None}, "batch_size: is missing"),
-        ({"model": '"mlp"'}, "model: expected hypotheses or classifier, found 'mlp'"),
+        ({"model": '"mlp"'}, "model: expected hypotheses or classifier or mixture, found 'mlp'"),
         ({"meta_loss": '"awta"'}, "meta_loss: expected one of wta, rwta, ewta, found 'awta'"),
         ({"backbone": '"resnet19"'}, "backbone: expected one of resnet18, narrow-resnet18, found 'resnet19'"),
         ({"backbone": 18}, "backbone: expected one of resnet18, narrow-resnet18, found 18"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -14,6 +16,23 @@ if TYPE_CHECKING:
     from symsol_annot.bench.models.validation import Figures
     from symsol_annot.rotations.so3 import Rotations
     from symsol_annot.sets.dataset import Dataset, Labels
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How a model is asked about a split.
+
+    Attributes:
+        method: what the file says it is by.
+        level: of the grid that it is asked on.
+        resume: names the model: kept answers of another are refused.
+        calibration: what was fitted on validation images, by names.
+    """
+
+    method: str
+    level: int
+    resume: str
+    calibration: Mapping[str, float]
 
 
 class Learner(Protocol):
@@ -35,6 +54,9 @@ class Learner(Protocol):
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
         """Return figures of validation images (N, H, W, 3), uint8, on any device; the model is left in eval mode."""
 
+    def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:
+        """Return what is fitted on validation images, by names, and how good it is there; nothing where nothing is."""
+
 
 class Method(Protocol):
     """How models of one kind are built, trained and asked; a recipe and a model are always of that kind."""
@@ -54,18 +76,15 @@ class Method(Protocol):
     def learner(self, recipe: Any, model: Any, symmetry_group: Rotations) -> Learner:
         """Return what trains a model by its recipe, on images of a body with a group (G, 3, 3)."""
 
-    def write_predictions(
-        self, model: Any, dataset: Dataset, path: Path, *, method: str, level: int, resume: str
-    ) -> None:
+    def write_predictions(self, model: Any, recipe: Any, dataset: Dataset, path: Path, asked: Asked) -> None:
         """Write a model's predictions about a split, in float32.
 
         Args:
             model: on the device that computes.
+            recipe: that it was trained by.
             dataset: the whole split.
             path: of the predictions file.
-            method: what the file says it is by.
-            level: of the grid that a classifier is asked on.
-            resume: names the model: kept answers of another are refused.
+            asked: how.
 
         Raises:
             ModelError: the device has too little memory.

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from symsol_annot.bench.models.batches import reduced
 from symsol_annot.bench.models.networks.backbones import RESNET18, Backbone
 from symsol_annot.bench.models.weights.safetensors_file import StateDict
 from symsol_annot.bench.models.weights.state_dicts import load_weights, read_weights
@@ -29,10 +30,12 @@ class FirstStage(nn.Module):
 
     Args:
         backbone: what it begins with.
+        input_size: the side in pixels that larger or smaller images are reduced to; 0 takes them as they are.
     """
 
-    def __init__(self, backbone: Backbone = RESNET18) -> None:
+    def __init__(self, backbone: Backbone = RESNET18, input_size: int = 0) -> None:
         super().__init__()
+        self._input_size = input_size
         self._prefix = backbone.prefix
         self.add_module(backbone.prefix, backbone.build())
         self.embedding = nn.Linear(backbone.features, EMBEDDING_SIZE)
@@ -60,7 +63,7 @@ class FirstStage(nn.Module):
                 f"expected images (B, H, W, 3) uint8, as a set stores them and not normalised, found "
                 f"{tuple(images.shape)} {images.dtype}"
             )
-        channels_first = images.permute(0, 3, 1, 2).to(self.channel_mean.dtype)
+        channels_first = reduced(images, self._input_size).permute(0, 3, 1, 2).to(self.channel_mean.dtype)
         features = self.backbone((channels_first / 255.0 - self.channel_mean) / self.channel_deviation)
         return functional.relu(self.embedding(features))
 

@@ -22,6 +22,7 @@ class HypothesisNetwork(ReferenceModel):
         pretrained: where the backbone begins: "imagenet", the path of a file of its weights, or None, at random.
         rng: draws the weights of what is not pretrained, see `initialise`.
         backbone: of the first stage.
+        input_size: the side in pixels that it reduces images to; 0 for images as they are.
 
     Raises:
         SettingsError: M is below 1.
@@ -35,11 +36,12 @@ class HypothesisNetwork(ReferenceModel):
         pretrained: str | Path | None,
         rng: torch.Generator,
         backbone: Backbone = RESNET18,
+        input_size: int = 0,
     ) -> None:
         if hypotheses < 1:
             raise SettingsError(f"expected 1 hypothesis or more, found {hypotheses}")
         with torch.random.fork_rng(devices=[]):  # torch's layers draw weights that are drawn again below
-            super().__init__(backbone)
+            super().__init__(backbone, input_size)
             self.output = nn.Linear(EMBEDDING_SIZE, 6 * hypotheses)
         self.hypotheses = hypotheses
         self.begin(pretrained, rng)

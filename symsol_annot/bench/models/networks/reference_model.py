@@ -14,12 +14,13 @@ class ReferenceModel(nn.Module):
 
     Args:
         backbone: of the first stage.
+        input_size: the side in pixels that the first stage reduces images to; 0 for images as they are.
     """
 
-    def __init__(self, backbone: Backbone) -> None:
+    def __init__(self, backbone: Backbone, input_size: int = 0) -> None:
         super().__init__()
         self._backbone = backbone
-        self.first_stage = FirstStage(backbone)
+        self.first_stage = FirstStage(backbone, input_size)
 
     @property
     def device(self) -> torch.device:

@@ -25,6 +25,7 @@ class RotationClassifier(ReferenceModel):
             `first_stage.load_hypothesis_network` replaces it by a trained first stage.
         rng: draws the weights of what is not pretrained, see `initialise`.
         backbone: of the first stage.
+        input_size: the side in pixels that it reduces images to; 0 for images as they are.
 
     Raises:
         SettingsError: F is negative.
@@ -38,12 +39,13 @@ class RotationClassifier(ReferenceModel):
         pretrained: str | Path | None,
         rng: torch.Generator,
         backbone: Backbone = RESNET18,
+        input_size: int = 0,
     ) -> None:
         if frequencies < 0:
             raise SettingsError(f"expected 0 frequencies or more, found {frequencies}")
         encoding_size = 9 * 2 * frequencies or 9
         with torch.random.fork_rng(devices=[]):  # torch's layers draw weights that are drawn again below
-            super().__init__(backbone)
+            super().__init__(backbone, input_size)
             self.second_stage = _SecondStage(encoding_size)
         self.frequencies = frequencies
         self.begin(pretrained, rng)

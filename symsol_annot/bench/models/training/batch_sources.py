@@ -7,14 +7,15 @@ stopped. An epoch's last images, if fewer than a batch, are left out: every step
 import hashlib
 import math
 from collections.abc import Iterator
-from typing import Protocol, TypeAlias
+from functools import partial
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
-from symsol_annot.bench.models.batches import Batch, decode_images
+from symsol_annot.bench.models.batches import Batch, decode_images, reduced
 from symsol_annot.bench.models.devices import free_bytes
 from symsol_annot.bench.predictions.truth import HARD_NEGATIVE_RAD
 from symsol_annot.sets.dataset import Dataset, Sample
@@ -65,6 +66,16 @@ class InMemory:
         return len(self._all.images) // self.batch_size
 
 
+class _Labels(NamedTuple):
+    """What is known of all images' candidates, as in a batch: (N, G) each, or None."""
+
+    is_rejected: Tensor | None = None
+    is_member: Tensor | None = None
+
+
+_NO_LABELS = _Labels()
+
+
 class Streamed:
     """Images read by worker processes, each a part of `shuffled_order`."""
 
@@ -77,9 +88,11 @@ class Streamed:
         seed: int,
         device: torch.device,
         workers: int,
-        is_rejected: Tensor | None = None,
+        input_size: int = 0,
+        labels: _Labels = _NO_LABELS,
     ) -> None:
-        self._dataset, self._seed, self._device, self._is_rejected = dataset, seed, device, is_rejected
+        self._dataset, self._seed, self._device, self._labels = dataset, seed, device, labels
+        self._input_size = input_size
         self._workers = max(1, min(workers, len(dataset) // batch_size))
         self.batch_size = min(batch_size, len(dataset))
 
@@ -90,13 +103,13 @@ class Streamed:
             batch_size=self.batch_size,
             drop_last=True,
             num_workers=self._workers,
-            collate_fn=_collate,
+            collate_fn=partial(_collate, self._input_size),
             pin_memory=self._device.type == "cuda",
             multiprocessing_context="spawn",  # a fork may inherit locks that torch's threads hold
         )
         for rows, images, R_gt in loader:
-            is_rejected = None if self._is_rejected is None else self._is_rejected[rows]
-            yield Batch(images, R_gt, is_rejected).to(self._device)
+            known = (None if part is None else part[rows] for part in self._labels)
+            yield Batch(images, R_gt, *known).to(self._device)
 
     def batches_per_epoch(self) -> int:
         """Return how many batches an epoch has: whole ones of each worker's part."""
@@ -105,7 +118,14 @@ class Streamed:
 
 
 def open_batches(
-    dataset: Dataset, batch_size: int, seed: int, device: torch.device, *, with_rejected: bool = False
+    dataset: Dataset,
+    batch_size: int,
+    seed: int,
+    device: torch.device,
+    *,
+    input_size: int = 0,
+    with_rejected: bool = False,
+    with_members: bool = False,
 ) -> BatchSource:
     """Return a split's batches from the nearest memory that holds its images; else from worker processes.
 
@@ -114,19 +134,23 @@ def open_batches(
         batch_size: of a batch, in images.
         seed: of their order.
         device: where they are needed.
+        input_size: the side in pixels that images are reduced to; 0 for images as they are.
         with_rejected: whether batches say which candidates are rejected, `is_rejected`.
+        with_members: whether batches say which candidates are in the symmetry set, `is_member`.
 
     Raises:
-        NotAnnotatedError: rejected candidates of a split without symmetry sets.
+        NotAnnotatedError: rejected candidates, or members, of a split without symmetry sets.
         DataError: a shard is damaged.
     """
     is_rejected = _rejected(dataset) if with_rejected else None
-    needed = len(dataset) * math.prod(dataset.image_size) * 3
+    is_member = torch.from_numpy(dataset.labels().symmetry_mask) if with_members else None
+    needed = len(dataset) * (input_size**2 or math.prod(dataset.image_size)) * 3
     is_free = needed <= _HOST_SHARE * free_bytes(torch.device("cpu"))
     if not is_free:
-        return Streamed(dataset, batch_size, seed, device, min(cores(), _MAX_WORKERS), is_rejected)
+        labels = _Labels(is_rejected, is_member)
+        return Streamed(dataset, batch_size, seed, device, min(cores(), _MAX_WORKERS), input_size, labels)
     fits_device = device.type == "cpu" or needed <= _DEVICE_SHARE * free_bytes(device)
-    images = decode_images(dataset)._replace(is_rejected=is_rejected)
+    images = decode_images(dataset, input_size)._replace(is_rejected=is_rejected, is_member=is_member)
     return InMemory(images, batch_size, seed, device, on_device=fits_device)
 
 
@@ -157,8 +181,8 @@ class _Part(IterableDataset[_Numbered]):
         return ((row, self._dataset[row]) for row in rows)
 
 
-def _collate(pairs: list[_Numbered]) -> tuple[Tensor, Tensor, Tensor]:
+def _collate(input_size: int, pairs: list[_Numbered]) -> tuple[Tensor, Tensor, Tensor]:
     rows, samples = zip(*pairs, strict=True)
     images = np.stack([sample.image for sample in samples])
     R_gt = np.stack([sample.rotation for sample in samples]).astype(np.float32)
-    return torch.tensor(rows), torch.from_numpy(images), torch.from_numpy(R_gt)
+    return torch.tensor(rows), reduced(torch.from_numpy(images), input_size), torch.from_numpy(R_gt)

@@ -11,18 +11,20 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from symsol_annot.bench.models.batches import Batch, decode_images
+from symsol_annot.bench.models.batches import Batch, decode_images, rolled
 from symsol_annot.bench.models.devices import (
     choose_device,
     full_precision,
+    hardware,
     has_bfloat16,
     laid_out_for,
     largest_that_fits,
+    takes_bfloat16,
 )
 from symsol_annot.bench.models.kinds import Recipe, kind_of
 from symsol_annot.bench.models.networks.first_stage import FirstStage
 from symsol_annot.bench.models.networks.reference_model import ReferenceModel
-from symsol_annot.bench.models.recipe_keys import MAX_EPOCHS, RANDOM, TRAINED_STARTS
+from symsol_annot.bench.models.recipe_keys import BFLOAT16, LEAST_BFLOAT16_SIZE, MAX_EPOCHS, RANDOM, TRAINED_STARTS
 from symsol_annot.bench.models.training import checkpoints
 from symsol_annot.bench.models.training.batch_sources import generator, open_batches
 from symsol_annot.bench.models.training.curve import plot_curve
@@ -91,7 +93,7 @@ def train(
     """
     device = choose_device(options.device)
     record = new_record(recipe, dataset, options, device, name)
-    _check(recipe, dataset)
+    _check(recipe, dataset, device)
     with held_folder(out), full_precision(benchmark=device.type == "cuda"):
         loop = TrainingLoop(record, dataset, out, options, device)
         on_start(loop.record, loop.images_per_epoch)
@@ -144,9 +146,13 @@ class TrainingLoop:
             recipe.batch_size,
             record.seed,
             device,
+            input_size=recipe.input_size,
             with_rejected=recipe.needs_rejected_candidates,
+            with_members=recipe.needs_members,
         )
-        self._validation_images = _validation_images(dataset[learnt:]) if recipe.validation_images else None
+        self._validation_images = (
+            _validation_images(dataset[learnt:], recipe.input_size) if recipe.validation_images else None
+        )
 
     def _take(self, model: ReferenceModel, dataset: Dataset) -> None:
         """Take a model to the device, and make what trains it."""
@@ -181,9 +187,12 @@ class TrainingLoop:
         self._refuse_nan(sum(float(tensor.float().abs().sum()) for tensor in self._kept_tensors()), epoch)
         if self._validation_images:
             figures |= self._learner.evaluate(*self._validation_images)
+        calibration: dict[str, float] = {}
+        if self._validation_images and epoch + 1 == self.record.epochs:
+            calibration = self._learner.calibrate(*self._validation_images)
         figures["seconds"] = round(time.perf_counter() - start, 2)
         figures["processor_seconds"] = round(time.process_time() - processor_start, 2)
-        self.record = replace(self.record, rows=(*self.record.rows, figures))
+        self.record = replace(self.record, rows=(*self.record.rows, figures), calibration=calibration)
         checkpoints.save(self._out, self.record, self._model, self._optimizer)
         self._publish()
 
@@ -232,9 +241,11 @@ class TrainingLoop:
         _freeze(self._model.first_stage, is_frozen=recipe.is_frozen_at(epoch))
         for group in self._optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(epoch)
-        loss = self._learner.losses(batch, epoch, rng).mean()
+        loss = self._learner.losses(rolled(batch) if recipe.rolls else batch, epoch, rng).mean()
         self._optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
+        if recipe.clip_norm:
+            torch.nn.utils.clip_grad_norm_(self._model.parameters(), recipe.clip_norm)
         self._optimizer.step()
         return loss.detach()
 
@@ -265,6 +276,7 @@ def new_record(recipe: Recipe, dataset: Dataset, options: Options, device: torch
         raise SettingsError(f"seed: expected 0 to {MAX_SEED}, found {options.seed}")
     if name and not is_method_name(name):
         raise SettingsError(f"name: expected {METHOD_NAME_RULE}, found {name!r}")
+    side = recipe.input_size or min(dataset.image_size)
     return TrainingRecord(
         name=name,
         recipe=recipe,
@@ -275,11 +287,26 @@ def new_record(recipe: Recipe, dataset: Dataset, options: Options, device: torch
         seed=options.seed,
         first_stage=recipe.start,
         rows=(),
-        software=software(device, "bfloat16 backbone" if has_bfloat16(device) else "float32"),
+        software=software(device, "bfloat16 backbone" if takes_bfloat16(device, recipe.precision, side) else "float32"),
     )
 
 
-def _check(recipe: Recipe, dataset: Dataset) -> None:
+def _check(recipe: Recipe, dataset: Dataset, device: torch.device) -> None:
+    side = min(dataset.image_size)
+    if recipe.input_size > side:
+        raise SettingsError(
+            f"{dataset.folder}: its images have {side} pixels a side, and the recipe's input_size is "
+            f"{recipe.input_size}: render them with --size {recipe.input_size} or more, or take a smaller input_size"
+        )
+    if recipe.precision == BFLOAT16 and not has_bfloat16(device):
+        raise SettingsError(
+            f"precision: the recipe asks for bfloat16, which {hardware(device)} does not compute in by itself, so that "
+            'it would be slower; take precision = "float32"'
+        )
+    if recipe.precision == BFLOAT16 and (recipe.input_size or side) < LEAST_BFLOAT16_SIZE:
+        raise SettingsError(
+            f"precision: bfloat16 takes images of {LEAST_BFLOAT16_SIZE} pixels or more, these have {side}; take float32"
+        )
     left = len(dataset) - recipe.validation_images
     if left < 2:
         raise SettingsError(
@@ -293,6 +320,11 @@ def _check(recipe: Recipe, dataset: Dataset) -> None:
             f"{dataset.folder}: the train split was rendered without symmetry sets, so its validation images cannot be "
             "scored. `symsol-annot render --annotate all` gives every split its sets; --validation-images 0 trains "
             "unscored"
+        )
+    if recipe.needs_members:
+        raise NotAnnotatedError(
+            f"{dataset.folder}: the train split was rendered without symmetry sets, and the recipe learns from their "
+            "members. `symsol-annot render --annotate all` gives every split its sets"
         )
     if recipe.needs_rejected_candidates:
         raise NotAnnotatedError(
@@ -329,8 +361,8 @@ def _first_model(record: TrainingRecord, out: Path, options: Options) -> tuple[R
     return model, f"{file.parent.name}, sha256 {network.sha256}"
 
 
-def _validation_images(dataset: Dataset) -> tuple[Tensor, Labels]:
-    return decode_images(dataset).images, dataset.labels()
+def _validation_images(dataset: Dataset, input_size: int) -> tuple[Tensor, Labels]:
+    return decode_images(dataset, input_size).images, dataset.labels()
 
 
 def _freeze(stage: FirstStage, *, is_frozen: bool) -> None:

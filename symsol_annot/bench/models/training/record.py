@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ class TrainingRecord:
         first_stage: where it began: a trained network's folder and the SHA-256 of its weights, or what the recipe says.
         rows: the figures of each finished epoch, its number and loss among them; NaN where one is undefined.
         software: versions, and what it ran on.
+        calibration: what was fitted on validation images after the last epoch, by names.
     """
 
     name: str
@@ -63,6 +64,7 @@ class TrainingRecord:
     first_stage: str
     rows: tuple[EpochFigures, ...]
     software: Mapping[str, str]
+    calibration: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def epochs_done(self) -> int:
@@ -134,7 +136,9 @@ def record_from_metadata(metadata: Mapping[str, str], file: Path) -> TrainingRec
 
 def record_to_metadata(record: TrainingRecord) -> dict[str, str]:
     """Return the texts by their names that `record_from_metadata` reads."""
-    rest = {field.name: getattr(record, field.name) for field in fields(record) if field.name != "recipe"}
+    rest = {part.name: getattr(record, part.name) for part in fields(record) if part.name != "recipe"}
+    if not record.calibration:  # as in records of before there was one
+        del rest["calibration"]
     return {
         "format": _FORMAT,
         "format_version": str(_FORMAT_VERSION),
@@ -169,6 +173,13 @@ def _parsed(metadata: Mapping[str, str], source: str) -> TrainingRecord:
         isinstance(software, dict) and len(software) <= _MAX_TEXTS and all(map(_is_text, software.values())),
         "software: expected texts by their names",
     )
+    calibration = known.get("calibration", {})
+    _require(
+        isinstance(calibration, dict)
+        and len(calibration) <= _MAX_TEXTS
+        and all(_is_text(name) and _is_figure(value) for name, value in calibration.items()),
+        "calibration: expected numbers by their names",
+    )
     return TrainingRecord(
         name=known["name"],
         recipe=recipe_from_toml(metadata["recipe"], source),
@@ -180,6 +191,7 @@ def _parsed(metadata: Mapping[str, str], source: str) -> TrainingRecord:
         first_stage=known["first_stage"],
         rows=tuple({name: float(value) for name, value in row.items()} for row in rows),
         software=software,
+        calibration=calibration,
     )
 
 
@@ -194,6 +206,10 @@ def _is_whole(value: Any, least: int, most: int) -> bool:
 
 def _is_text(value: Any) -> bool:
     return isinstance(value, str) and len(value) <= _MAX_TEXT
+
+
+def _is_figure(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) <= _LARGEST_FIGURE
 
 
 def _are_figures(row: Any, epoch: int) -> bool:

@@ -14,6 +14,7 @@ from symsol_annot.bench.models.devices import backbone_precision
 from symsol_annot.bench.models.loss_tables import CLASSIFICATION
 from symsol_annot.bench.models.methods.classifier.negatives import hard_negatives, random_rotations
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.networks.answers import embeddings_of, probabilities
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
@@ -36,7 +37,7 @@ class ClassifierLearner:
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the losses (B,) of eq. 6.15, K new rotations per image."""
-        with backbone_precision(batch.images.device):
+        with backbone_precision(batch.images, self.recipe.precision):
             embeddings = self.model.first_stage(batch.images)
         asked = torch.cat([batch.R_gt[:, None], self._negatives(batch, rng)], dim=1)
         logits = self.model.logits(embeddings.float(), asked)
@@ -68,6 +69,10 @@ class ClassifierLearner:
             counts.append((self._positives(embedding, members), false_positives, len(members)))
         return classifier_figures(counts)
 
+    def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:  # noqa: ARG002
+        """Return nothing."""
+        return {}
+
     def _positives(self, embedding: Tensor, R: Tensor) -> int:
         """Return of how many rotations (Q, 3, 3) the model says that they are in the set of an embedded image (E,)."""
         return int((probabilities(self.model, embedding, R) > STANDARD_THRESHOLD).sum())
@@ -79,7 +84,9 @@ class ClassifierMethod:
     def new_model(self, recipe: ClassifierRecipe, pretrained: str | None, rng: torch.Generator) -> RotationClassifier:
         """Return a recipe's classifier."""
         backbone = BACKBONES[recipe.backbone]
-        return RotationClassifier(recipe.frequencies, pretrained=pretrained, rng=rng, backbone=backbone)
+        return RotationClassifier(
+            recipe.frequencies, pretrained=pretrained, rng=rng, backbone=backbone, input_size=recipe.input_size
+        )
 
     def learner(
         self, recipe: ClassifierRecipe, model: RotationClassifier, symmetry_group: Rotations
@@ -88,11 +95,17 @@ class ClassifierMethod:
         return ClassifierLearner(recipe, model, symmetry_group)
 
     def write_predictions(
-        self, model: RotationClassifier, dataset: Dataset, path: Path, *, method: str, level: int, resume: str
+        self,
+        model: RotationClassifier,
+        recipe: ClassifierRecipe,  # noqa: ARG002
+        dataset: Dataset,
+        path: Path,
+        asked: Asked,
     ) -> None:
         """Write the probabilities of queries and grid rotations for a split's images."""
-        classify, size = _probabilities_by_index(model, dataset), grid_size(level)
-        write_classifier(path, dataset, classify, method=method, level=level, batch_size=size, resume=resume)
+        classify, size = _probabilities_by_index(model, dataset), grid_size(asked.level)
+        by, level, resume = asked.method, asked.level, asked.resume
+        write_classifier(path, dataset, classify, method=by, level=level, batch_size=size, resume=resume)
 
 
 def _probabilities_by_index(

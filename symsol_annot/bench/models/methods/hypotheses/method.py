@@ -13,6 +13,7 @@ from symsol_annot.bench.models.batches import Batch, decode_images
 from symsol_annot.bench.models.devices import as_memory_allows, backbone_precision
 from symsol_annot.bench.models.loss_tables import EMBEDDED_LOSSES, META_LOSSES
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.networks.answers import all_hypotheses
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.hypothesis_network import HypothesisNetwork
@@ -34,7 +35,7 @@ class HypothesisLearner:
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the meta losses (B,)."""
-        with backbone_precision(batch.images.device):
+        with backbone_precision(batch.images, self.recipe.precision):
             embeddings = self.model.first_stage(batch.images)
         hypotheses = self.model.from_embeddings(embeddings.float())  # in 32 bits: 0.1 degrees of 16 would show
         of_each = self._embedded.function(
@@ -47,6 +48,10 @@ class HypothesisLearner:
         hypotheses = all_hypotheses(self.model, images, _EVALUATED_AT_ONCE).astype(np.float64)
         return hypothesis_figures((labels.members(i), of_image) for i, of_image in enumerate(hypotheses))
 
+    def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:  # noqa: ARG002
+        """Return nothing: hypotheses have nothing to fit."""
+        return {}
+
 
 class HypothesisMethod:
     """How networks of M hypotheses are built, trained and asked."""
@@ -54,7 +59,9 @@ class HypothesisMethod:
     def new_model(self, recipe: HypothesisRecipe, pretrained: str | None, rng: torch.Generator) -> HypothesisNetwork:
         """Return a recipe's network."""
         backbone = BACKBONES[recipe.backbone]
-        return HypothesisNetwork(recipe.hypotheses, pretrained=pretrained, rng=rng, backbone=backbone)
+        return HypothesisNetwork(
+            recipe.hypotheses, pretrained=pretrained, rng=rng, backbone=backbone, input_size=recipe.input_size
+        )
 
     def learner(
         self,
@@ -68,15 +75,14 @@ class HypothesisMethod:
     def write_predictions(
         self,
         model: HypothesisNetwork,
+        recipe: HypothesisRecipe,  # noqa: ARG002
         dataset: Dataset,
         path: Path,
-        *,
-        method: str,
-        level: int,  # noqa: ARG002 - of a grid, and hypotheses are on none
-        resume: str,
+        asked: Asked,
     ) -> None:
         """Write the hypotheses of a split's images."""
-        write_hypotheses(path, dataset, _hypotheses_by_index(model, dataset), method=method, resume=resume)
+        hypotheses = _hypotheses_by_index(model, dataset)
+        write_hypotheses(path, dataset, hypotheses, method=asked.method, resume=asked.resume)
 
 
 def _hypotheses_by_index(model: HypothesisNetwork, dataset: Dataset) -> Callable[[int], npt.NDArray[np.float32]]:

@@ -1,0 +1,397 @@
+"""What a mixture says of one image: its density anywhere, what it claims, and a few hypotheses."""
+
+import copy
+from abc import ABC, abstractmethod
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from symsol_annot.bench.models.methods.mixture.body import Body
+from symsol_annot.bench.models.methods.mixture.claims import Calibration, best_threshold
+from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, GROUP, MARKED_CIRCLE
+from symsol_annot.bench.models.networks.mixture_network import MixtureNetwork, Told
+from symsol_annot.bench.models.networks.mixtures import AxisMixture, PoseMixture
+from symsol_annot.rotations.grid import GridIndex, grid_size
+
+HYPOTHESES = 30
+_SAMPLES = 1024
+_LEAST_WEIGHT = 0.01  # of a component that is a hypothesis
+_SAME = 6  # decimals to which axes are compared
+_SLACK = 1.25  # of the angle beyond which a component is taken to be below a level: it is not quite normal
+_EVERYWHERE_RAD = 1.0  # from where the whole grid is looked at
+_TILTS, _TURNS = 181, 720  # at which the share of views that hide the marking is known
+
+Indices = npt.NDArray[np.int64]
+
+
+class Grid:
+    """The equivolumetric grid of a level as tensors, and what is found on it."""
+
+    def __init__(self, level: int) -> None:
+        self.index = GridIndex(level)
+        self.level = level
+        self.rotations = torch.from_numpy(self.index.rotations).float()
+        cell = (8.0 * np.pi**2 / grid_size(level)) ** (1.0 / 3.0)  # the side of a cube of a cell's volume, in rad
+        self.blur_rad = cell / np.sqrt(12.0)  # the deviation of a uniform distribution on it, along a side
+
+    def __len__(self) -> int:
+        return len(self.rotations)
+
+    @lru_cache(maxsize=4)  # noqa: B019 - grids are few, and live as long as the program
+    def axes(self, axis: tuple[float, float, float]) -> tuple[Tensor, Tensor]:
+        """Return the distinct axes R a (k, 3) of the grid, and which of them each of its rotations has (N,)."""
+        rounded = (self.rotations @ torch.tensor(axis)).numpy().round(_SAME) + 0.0
+        distinct, which = np.unique(rounded, axis=0, return_inverse=True)
+        return torch.from_numpy(distinct), torch.from_numpy(which.reshape(-1))
+
+
+@lru_cache(maxsize=2)
+def grid_of(level: int) -> Grid:
+    """Return the grid of a level, made once."""
+    return Grid(level)
+
+
+class ImageDensity(ABC):
+    """The density of one image's rotations."""
+
+    @abstractmethod
+    def log_density(self, R: Tensor) -> Tensor:
+        """Return ln p (n,), relative to uniform, at rotations (n, 3, 3)."""
+
+    @abstractmethod
+    def log_claim(self, R: Tensor) -> Tensor:
+        """Return ln p - ln t (n,): above 0 for rotations (n, 3, 3) that are claimed."""
+
+    @abstractmethod
+    def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
+        """Return grid indices, all that are claimed among them, and ln p - ln t there."""
+
+    @abstractmethod
+    def on_cells(self, grid: Grid) -> Tensor:
+        """Return ln p (N,) averaged over the grid's cells, nearly."""
+
+    @abstractmethod
+    def hypotheses(self) -> npt.NDArray[np.float64]:
+        """Return hypotheses (m, 3, 3)."""
+
+
+class PoseDensity(ImageDensity):
+    """The density of components on SO(3)."""
+
+    def __init__(self, told: PoseMixture, members: float, calibration: Calibration, rng: torch.Generator) -> None:
+        self._told, self._members, self._rng = told, members, rng
+        self._calibration = calibration
+
+    @cached_property
+    def mixture(self) -> PoseMixture:
+        """With the calibrated precisions."""
+        return self._told.with_precision(self._calibration.precision)
+
+    @cached_property
+    def log_t(self) -> float:
+        """The logarithm of the threshold."""
+        drawn = self.mixture.samples(_SAMPLES, self._rng)
+        at_samples = self.mixture.log_density(drawn)[0].numpy()
+        log_t, _ = best_threshold(at_samples, self._members, grid_size(4))
+        return log_t + float(np.log(self._calibration.threshold))
+
+    def log_density(self, R: Tensor) -> Tensor:
+        """Return ln p (n,)."""
+        return self.mixture.log_density(R)[0]
+
+    def log_claim(self, R: Tensor) -> Tensor:
+        """Return ln p - ln t (n,)."""
+        return self.log_density(R) - self.log_t
+
+    def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
+        """Return grid indices, and ln p - ln t there."""
+        near = _above(self.mixture, self.log_t - CLAIMED_FROM, grid)
+        return near, self.log_claim(grid.rotations[near])
+
+    def on_cells(self, grid: Grid) -> Tensor:
+        """Return ln p (N,) averaged over cells: the uniform component's, and the others' where they reach it."""
+        blurred = self.mixture.blurred(grid.blur_rad)
+        least = float(blurred.log_weights[0, -1])
+        log_p = torch.full((len(grid),), least)
+        near = _above(blurred, least - 2.0, grid)
+        log_p[near] = blurred.log_density(grid.rotations[near])[0]
+        return log_p
+
+    def hypotheses(self) -> npt.NDArray[np.float64]:
+        """Return the centres of the components that weigh more than 0.01, the heaviest first, 30 at most."""
+        weights = self._told.log_weights[0, :-1].exp()
+        order = torch.argsort(weights, descending=True)
+        kept = order[weights[order] > min(_LEAST_WEIGHT, float(weights.max()) / 2.0)]
+        return self._told.centres[0, kept].double().numpy()
+
+
+CLAIMED_FROM = float(np.log(4.0) + np.log(9.0))  # below, a claim is under the floor of 0.1 of what a file lists
+
+
+def _above(mixture: PoseMixture, log_p: float, grid: Grid) -> Indices:
+    """Return the indices of grid rotations at which a mixture may be above a level, and of some others."""
+    peaks = mixture.log_peaks[0]
+    excess = peaks + float(np.log(len(peaks))) - log_p  # each may be one of M equals
+    kept = excess > 0
+    if not kept.any():
+        return np.zeros(0, dtype=np.int64)
+    least = torch.linalg.svdvals(mixture.roots[0, kept])[:, -1]
+    reach = (_SLACK * torch.sqrt(2.0 * excess[kept]) / least).double().numpy()
+    if reach.max() > _EVERYWHERE_RAD:
+        return np.arange(len(grid))
+    return grid.index.within(mixture.centres[0, kept].double().numpy(), reach)
+
+
+class CircleDensity(ImageDensity):
+    """The density of a body's axis: rotations about it are all as likely."""
+
+    def __init__(self, told: AxisMixture, body: Body, calibration: Calibration, rng: torch.Generator) -> None:
+        self._told, self._body, self._rng = told, body, rng
+        self._calibration = calibration
+        self._axis = tuple(body.axis.tolist())
+
+    @cached_property
+    def mixture(self) -> AxisMixture:
+        """With the calibrated precisions."""
+        return self._told.with_precision(self._calibration.axis_precision)
+
+    @cached_property
+    def log_t(self) -> float:
+        """The logarithm of the threshold."""
+        at_samples = self.mixture.log_density(self.mixture.samples(_SAMPLES, self._rng))[0].numpy()
+        log_t, _ = best_threshold(at_samples, len(self._body.group), grid_size(4))
+        return log_t + float(np.log(self._calibration.threshold))
+
+    def log_density(self, R: Tensor) -> Tensor:
+        """Return ln p (n,)."""
+        return self.mixture.log_density(R @ self._body.axis)[0]
+
+    def log_claim(self, R: Tensor) -> Tensor:
+        """Return ln p - ln t (n,)."""
+        return self.log_density(R) - self.log_t
+
+    def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
+        """Return grid indices, and ln p - ln t there."""
+        axes, which = grid.axes(self._axis)
+        log_claim = self.mixture.log_density(axes)[0] - self.log_t
+        near = torch.nonzero((log_claim > -CLAIMED_FROM)[which])[:, 0]
+        return near.numpy(), log_claim[which[near]]
+
+    def on_cells(self, grid: Grid) -> Tensor:
+        """Return ln p (N,) averaged over cells, nearly."""
+        axes, which = grid.axes(self._axis)
+        return self.mixture.blurred(grid.blur_rad).log_density(axes)[0][which]
+
+    def hypotheses(self) -> npt.NDArray[np.float64]:
+        """Return 30 rotations that are spread evenly over the circles of the likeliest axis."""
+        group = self._body.group
+        chosen = (np.arange(HYPOTHESES) + 0.5) * len(group) / HYPOTHESES
+        return (_frame(self._told, self._body) @ group[chosen.astype(int)]).double().numpy()
+
+
+class MarkedCircleDensity(ImageDensity):
+    """The density of the poses of a body with a circle in its group, and a marking that breaks it.
+
+    With p_a of the axis, q of the pose, and h(v) that the marking is hidden from the direction v, the last row of R:
+
+        shown     p(R) = p_a(R a) q(R) / mean over g of q(R g)
+        hidden    p(R) = p_a(R a) h(R) / mean over g of h(R g)
+
+    The image claims the one that promises the higher F-measure, given how likely it is that the marking shows.
+    """
+
+    def __init__(
+        self, told: Told, model: MixtureNetwork, body: Body, calibration: Calibration, rng: torch.Generator
+    ) -> None:
+        self._told, self._body, self._rng, self._calibration = told, body, rng, calibration
+        self._views = _views_of(model, body)
+        self._axis_key = tuple(body.axis.tolist())
+
+    @cached_property
+    def axis(self) -> AxisMixture:
+        """The axis's density with the calibrated precisions."""
+        return self._told.axis.with_precision(self._calibration.axis_precision)
+
+    @cached_property
+    def pose(self) -> PoseMixture:
+        """The pose's density with the calibrated precisions."""
+        return self._told.pose.with_precision(self._calibration.precision)
+
+    @cached_property
+    def probability_shown(self) -> float:
+        """How likely it is that the marking shows."""
+        return float(torch.sigmoid(self._told.is_shown[0] + self._calibration.shown_logit))
+
+    @cached_property
+    def hidden_threshold(self) -> tuple[float, float]:
+        """The logarithm of t of the axis's density where the marking is hidden, and the F-measure it promises."""
+        at_samples = self.axis.log_density(self.axis.samples(_SAMPLES, self._rng))[0].numpy()
+        log_t, f = best_threshold(at_samples, len(self._body.group), grid_size(4))
+        return log_t + float(np.log(self._calibration.hidden_threshold)), f
+
+    @cached_property
+    def shown_threshold(self) -> tuple[float, float]:
+        """The logarithm of t of the density where the marking shows, and the F-measure it promises."""
+        at_samples = self._shown_at_samples().numpy()
+        log_t, f = best_threshold(at_samples, 1, grid_size(4))
+        return log_t + float(np.log(self._calibration.threshold)), f
+
+    @cached_property
+    def takes_it_for_shown(self) -> bool:
+        """Whether the image claims what fits a marking that shows; may be set to what is known."""
+        shown, hidden = self.shown_threshold[1], self.hidden_threshold[1]
+        return self.probability_shown * shown > (1.0 - self.probability_shown) * hidden
+
+    def _shown_at_samples(self) -> Tensor:
+        """Return ln p of the shown density at samples of it: of the axis, then of the turn about it."""
+        axes = self.axis.samples(_AXIS_SAMPLES, self._rng)[0]
+        log_q = self.pose.log_density((_frames_of(axes, self._body)[:, None] @ self._body.group).flatten(0, 1))[0]
+        log_q = log_q.reshape(len(axes), -1)
+        log_conditional = log_q - torch.logsumexp(log_q, 1, keepdim=True)
+        turns = torch.multinomial(log_conditional.exp(), 1, generator=self._rng)
+        turned = torch.gather(log_conditional, 1, turns)[:, 0] + float(np.log(log_q.shape[1]))
+        return self.axis.log_density(axes)[0] + turned
+
+    def _log_mean_pose(self, R: Tensor) -> Tensor:
+        """Return ln of the mean over g of q(R g) (n,): of the axes R a, of which there are few."""
+        rounded = (R @ self._body.axis).numpy().round(_SAME) + 0.0
+        _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        every = (R[first][:, None] @ self._body.group).flatten(0, 1)
+        log_q = self.pose.log_density(every)[0].reshape(len(first), -1)
+        return (torch.logsumexp(log_q, 1) - float(np.log(log_q.shape[1])))[which.reshape(-1)]
+
+    def _log_shown(self, R: Tensor) -> Tensor:
+        conditional = self.pose.log_density(R)[0] - self._log_mean_pose(R)
+        return self.axis.log_density(R @ self._body.axis)[0] + conditional
+
+    def _log_hidden(self, R: Tensor) -> Tensor:
+        return self.axis.log_density(R @ self._body.axis)[0] + self._views.log_relative(R)
+
+    def log_density(self, R: Tensor) -> Tensor:
+        """Return ln p (n,)."""
+        shown = float(np.log(self.probability_shown))
+        hidden = float(np.log1p(-min(self.probability_shown, 1.0 - 1e-6)))
+        return torch.logaddexp(shown + self._log_shown(R), hidden + self._log_hidden(R))
+
+    def log_claim(self, R: Tensor) -> Tensor:
+        """Return ln p - ln t (n,); where the marking is taken to be hidden, or a view's logit that it is, if lower."""
+        if self.takes_it_for_shown:
+            return self._log_shown(R) - self.shown_threshold[0]
+        of_axis = self.axis.log_density(R @ self._body.axis)[0] - self.hidden_threshold[0]
+        return torch.minimum(of_axis, self._views.logit(R))
+
+    def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
+        """Return grid indices, and ln p - ln t there."""
+        axes, which = grid.axes(self._axis_key)
+        least = self.hidden_threshold[0]
+        if self.takes_it_for_shown:
+            least = self.shown_threshold[0] - float(np.log(len(self._body.group)))
+        near = torch.nonzero((self.axis.log_density(axes)[0] > least - CLAIMED_FROM)[which])[:, 0]
+        return near.numpy(), self.log_claim(grid.rotations[near])
+
+    def on_cells(self, grid: Grid) -> Tensor:
+        """Return ln p (N,) averaged over cells, nearly."""
+        blurred = copy.copy(self)
+        blurred.axis, blurred.pose = self.axis.blurred(grid.blur_rad), self.pose.blurred(grid.blur_rad)
+        return blurred._on_grid(grid)  # noqa: SLF001 - of the same class
+
+    def _on_grid(self, grid: Grid) -> Tensor:
+        """Return ln p (N,) on the grid; the pose's part only where the axis's density is not uniform."""
+        axes, which = grid.axes(self._axis_key)
+        of_axis = self.axis.log_density(axes)[0]
+        log_p = of_axis[which] + self._views.log_relative(grid.rotations)
+        log_p += float(np.log1p(-min(self.probability_shown, 1.0 - 1e-6)))
+        near = torch.nonzero((of_axis > float(self.axis.log_weights[0, -1]) + 0.1)[which])[:, 0]
+        log_p[near] = self.log_density(grid.rotations[near])
+        return log_p
+
+    def hypotheses(self) -> npt.NDArray[np.float64]:
+        """Return the likeliest rotation where the marking shows, else 30 spread evenly over the views that hide it."""
+        candidates = _frame(self._told.axis, self._body) @ self._body.group
+        if self.probability_shown > 0.5:
+            return candidates[self.pose.log_density(candidates)[0].argmax()][None].double().numpy()
+        hidden = torch.nonzero(self._views.logit(candidates) > 0)[:, 0]
+        kept = candidates[hidden] if len(hidden) >= HYPOTHESES else candidates
+        chosen = ((np.arange(HYPOTHESES) + 0.5) * len(kept) / HYPOTHESES).astype(int)
+        return kept[chosen].double().numpy()
+
+
+_AXIS_SAMPLES = 192
+
+
+class _Views:
+    """From which directions the marking is hidden, and how large their share is at each tilt of the axis."""
+
+    def __init__(self, model: MixtureNetwork, body: Body) -> None:
+        self._model, self._axis = model, body.axis
+        tilts = torch.linspace(0.0, np.pi, _TILTS)
+        turns = torch.arange(_TURNS) * (2.0 * np.pi / _TURNS)
+        across, also = torch.linalg.svd(body.axis[None])[2][1:]
+        directions = tilts.cos()[:, None, None] * body.axis + tilts.sin()[:, None, None] * (
+            turns.cos()[:, None] * across + turns.sin()[:, None] * also
+        )
+        share = torch.sigmoid(model.hides(directions)).mean(1)
+        self._log_share = (share if body.is_directed else 0.5 * (share + share.flip(0))).log()
+
+    def logit(self, R: Tensor) -> Tensor:
+        """Return logits (n,) that the marking is hidden at rotations (n, 3, 3)."""
+        return self._model.hides(R[:, 2])
+
+    def log_relative(self, R: Tensor) -> Tensor:
+        """Return ln of h(R) over its mean over the body's group (n,)."""
+        tilt = torch.acos((R[:, 2] @ self._axis).clamp(-1.0, 1.0)) * ((_TILTS - 1) / np.pi)
+        return torch.nn.functional.logsigmoid(self.logit(R)) - self._log_share[tilt.round().long()]
+
+
+def _views_of(model: MixtureNetwork, body: Body) -> _Views:
+    """Return what is known of a model's views, worked out once."""
+    known = getattr(model, "_known_views", None)
+    if known is None:
+        known = _Views(model, body)
+        object.__setattr__(model, "_known_views", known)
+    return known
+
+
+def _frame(told: AxisMixture, body: Body) -> Tensor:
+    """Return a rotation (3, 3) whose axis R a is the mean of the heaviest component."""
+    heaviest = int(told.log_weights[0, :-1].argmax())
+    return _frames_of(told.frames[0, heaviest, :, 2][None], body)[0]
+
+
+def _frames_of(axes: Tensor, body: Body) -> Tensor:
+    """Return rotations (n, 3, 3) that take the body's axis to axes (n, 3)."""
+    return _with_last_column(axes) @ _with_last_column(body.axis[None]).mT
+
+
+def _with_last_column(axes: Tensor) -> Tensor:
+    """Return rotations (n, 3, 3) whose last column is a unit vector (n, 3)."""
+    least = torch.nn.functional.one_hot(axes.abs().argmin(dim=1), 3).to(axes)
+    x = torch.nn.functional.normalize(torch.linalg.cross(least, axes), dim=1)
+    return torch.stack([x, torch.linalg.cross(axes, x), axes], dim=-1)
+
+
+def density_of(
+    model: MixtureNetwork, structure: str, told: Told, body: Body, calibration: Calibration, seed: int
+) -> ImageDensity:
+    """Return the density of one image.
+
+    Args:
+        model: that told of it.
+        structure: the recipe's.
+        told: of this image alone.
+        body: the object's.
+        calibration: fitted on validation images.
+        seed: of the samples by which the threshold is found.
+    """
+    rng = torch.Generator().manual_seed(seed)
+    if structure == MARKED_CIRCLE:
+        return MarkedCircleDensity(told, model, body, calibration, rng)
+    if structure == CIRCLE:
+        return CircleDensity(told.axis, body, calibration, rng)
+    if structure == GROUP:
+        return PoseDensity(told.pose.spread_over(body.group), len(body.group), calibration, rng)
+    members = float(body.set_sizes[int(told.set_size[0].argmax())])
+    return PoseDensity(told.pose, members, calibration, rng)

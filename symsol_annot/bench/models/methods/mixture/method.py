@@ -1,0 +1,108 @@
+"""A mixture density: how it is learnt, calibrated, and how all three tracks follow from it."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from symsol_annot.bench.models.batches import decode_images
+from symsol_annot.bench.models.methods.method import Asked
+from symsol_annot.bench.models.methods.mixture.body import body_for
+from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT, Calibration
+from symsol_annot.bench.models.methods.mixture.image_density import ImageDensity, density_of, grid_of
+from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
+from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP, MARKED_CIRCLE, MixtureRecipe
+from symsol_annot.bench.models.networks.answers import embeddings_of
+from symsol_annot.bench.models.networks.backbones import BACKBONES
+from symsol_annot.bench.models.networks.mixture_network import Heads, MixtureNetwork, Told
+from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
+from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.dataset import Dataset
+
+_DENSITY_FLOOR = 1e-9  # of a cell's probability: a file of 5,000 images stays small
+_AT_ONCE, _BLOCK = 256, 512  # images embedded, decoded
+_LEAST_CLAIM = -30.0  # of the logits of grid rotations that are not looked at
+
+
+def heads_of(recipe: MixtureRecipe) -> Heads:
+    """Return which parts the density of a recipe's structure has."""
+    return {
+        FREE: Heads(poses=recipe.components, tells_set_size=True),
+        GROUP: Heads(poses=recipe.components),
+        CIRCLE: Heads(axes=recipe.axis_components),
+        MARKED_CIRCLE: Heads(poses=recipe.components, axes=recipe.axis_components, tells_marking=True),
+    }[recipe.structure]
+
+
+class MixtureMethod:
+    """How mixtures are built, trained and asked."""
+
+    def new_model(self, recipe: MixtureRecipe, pretrained: str | None, rng: torch.Generator) -> MixtureNetwork:
+        """Return a recipe's network."""
+        backbone = BACKBONES[recipe.backbone]
+        return MixtureNetwork(
+            heads_of(recipe), pretrained=pretrained, rng=rng, backbone=backbone, input_size=recipe.input_size
+        )
+
+    def learner(self, recipe: MixtureRecipe, model: MixtureNetwork, symmetry_group: Rotations) -> MixtureLearner:
+        """Return what trains a network by its recipe."""
+        return MixtureLearner(recipe, model, symmetry_group)
+
+    def write_predictions(
+        self, model: MixtureNetwork, recipe: MixtureRecipe, dataset: Dataset, path: Path, asked: Asked
+    ) -> None:
+        """Write hypotheses, claims and densities of a split's images."""
+        density = _densities_by_index(model, recipe, dataset, Calibration.of(asked.calibration))
+        grid, by, resume = grid_of(asked.level), asked.method, asked.resume
+
+        def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
+            if len(R) != len(grid):
+                logits = density(i).log_claim(torch.from_numpy(R).float())
+            else:
+                logits = torch.full((len(grid),), _LEAST_CLAIM)
+                near, log_claim = density(i).claimed_on(grid)
+                logits[near] = log_claim
+            probabilities: npt.NDArray[np.float32] = torch.sigmoid(logits + CLAIM_LOGIT).numpy()
+            return probabilities
+
+        def cells(i: int, _: Rotations) -> npt.NDArray[np.float32]:
+            log_p: npt.NDArray[np.float32] = density(i).on_cells(grid).numpy()
+            return log_p
+
+        with torch.no_grad():
+            write_hypotheses(path, dataset, lambda i: density(i).hypotheses(), method=by, resume=resume)
+            write_classifier(path, dataset, classify, method=by, resume=resume, level=asked.level, batch_size=len(grid))
+            write_density(
+                path,
+                dataset,
+                cells,
+                method=by,
+                floor=_DENSITY_FLOOR,
+                resume=resume,
+                level=asked.level,
+                batch_size=len(grid),
+            )
+
+
+def _densities_by_index(
+    model: MixtureNetwork, recipe: MixtureRecipe, dataset: Dataset, calibration: Calibration
+) -> Callable[[int], ImageDensity]:
+    """Return a callable from an image's index to its density; it is quick for one image after another."""
+    body = body_for(recipe, dataset.symmetry_group, model.device)
+
+    @lru_cache(maxsize=1)
+    def told_of(block: int) -> Told:
+        images = decode_images(dataset[block * _BLOCK : (block + 1) * _BLOCK], recipe.input_size).images
+        return model.told(embeddings_of(model, images, _AT_ONCE), is_directed=body.is_directed)
+
+    @lru_cache(maxsize=1)
+    def density(i: int) -> ImageDensity:
+        return density_of(model, recipe.structure, told_of(i // _BLOCK).row(i % _BLOCK), body, calibration, i)
+
+    return density
+
+
+METHOD = MixtureMethod()

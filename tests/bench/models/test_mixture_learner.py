@@ -1,0 +1,111 @@
+"""The losses of mixtures are the equations of their page, image by image, for each structure."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from tiny_training import MIXTURE
+
+from symsol_annot.bench.models.batches import Batch
+from symsol_annot.bench.models.methods.mixture.body import body_for
+from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
+from symsol_annot.bench.models.methods.mixture.method import METHOD
+from symsol_annot.errors import SettingsError
+from symsol_annot.rotations.groups import cyclic_group, dihedral_group, tetrahedral_group
+from symsol_annot.rotations.so3 import uniform_rotations
+
+torch.set_num_threads(1)
+FREE = replace(MIXTURE, members=12)
+
+
+@pytest.fixture(autouse=True)
+def _without_gradients():
+    with torch.no_grad():
+        yield
+
+
+def batch_of(group, is_member, size=32):
+    rng = np.random.default_rng(3)
+    images = torch.from_numpy(rng.integers(0, 255, (len(is_member), size, size, 3), dtype=np.uint8))
+    return Batch(images, torch.from_numpy(uniform_rotations(len(is_member), rng)).float(), None, is_member)
+
+
+def learner_of(recipe, group):
+    model = METHOD.new_model(recipe, None, torch.Generator().manual_seed(0))
+    return MixtureLearner(recipe, model.eval(), group)
+
+
+def told(learner, batch):
+    return learner.model.told(learner.model.first_stage(batch.images), is_directed=learner._body.is_directed)
+
+
+def test_free_is_the_mean_over_members_and_the_class_of_the_sets_size():
+    group = tetrahedral_group()
+    is_member = torch.zeros((3, 12), dtype=torch.bool)
+    is_member[0, :3] = is_member[1, :9] = is_member[2] = True
+    batch, learner = batch_of(group, is_member), learner_of(FREE, group)
+    losses = learner.losses(batch, 0.0, torch.Generator())
+    said = told(learner, batch)
+    sizes = 12 ** (np.arange(8) / 7)
+    for i, count in enumerate((3, 9, 12)):
+        members = batch.R_gt[i] @ torch.from_numpy(group).float()[is_member[i]]
+        at_members = said.pose.row(i).log_density(members)[0].mean()
+        right = int(np.abs(np.log(sizes / count)).argmin())
+        of_size = -torch.log_softmax(said.set_size[i], 0)[right]
+        assert float(losses[i]) == pytest.approx(float(FREE.marking_weight * of_size - at_members), abs=1e-4)
+
+
+def test_of_more_candidates_than_it_takes_it_learns_from_members_alone():
+    group = tetrahedral_group()
+    is_member = torch.zeros((2, 12), dtype=torch.bool)
+    is_member[:, 4] = True
+    recipe = replace(FREE, members=5, marking_weight=0.0)
+    batch, learner = batch_of(group, is_member), learner_of(recipe, group)
+    losses = learner.losses(batch, 0.0, torch.Generator().manual_seed(0))
+    member = batch.R_gt[:, None] @ torch.from_numpy(group).float()[4]
+    assert torch.allclose(losses, -told(learner, batch).pose.log_density(member)[:, 0], atol=1e-4)
+
+
+def test_group_is_the_mean_density_over_the_groups_turns():
+    group = tetrahedral_group()
+    recipe = replace(FREE, structure="group")
+    batch, learner = batch_of(group, torch.ones((2, 12), dtype=torch.bool)), learner_of(recipe, group)
+    at = told(learner, batch).pose.log_density(batch.R_gt[:, None] @ torch.from_numpy(group).float())
+    expected = math.log(12) - torch.logsumexp(at, 1)
+    assert torch.allclose(learner.losses(batch, 0.0, torch.Generator()), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(("group", "is_directed"), [(cyclic_group(360), True), (dihedral_group(360), False)])
+def test_circle_is_the_density_of_the_axis_which_a_half_turn_may_turn_round(group, is_directed):
+    recipe = replace(FREE, structure="circle")
+    batch, learner = batch_of(group, torch.ones((2, len(group)), dtype=torch.bool)), learner_of(recipe, group)
+    assert learner._body.is_directed == is_directed
+    expected = -told(learner, batch).axis.log_density(batch.R_gt[:, None, :, 2])[:, 0]
+    assert torch.allclose(learner.losses(batch, 0.0, torch.Generator()), expected, atol=1e-4)
+
+
+def test_marked_circle_adds_the_pose_where_the_marking_shows_and_views_where_it_does_not():
+    group = dihedral_group(360)
+    is_member = torch.zeros((2, 720), dtype=torch.bool)
+    is_member[0, 0] = True
+    is_member[1] = True  # every candidate hides it: whichever are drawn, they are members
+    recipe = replace(FREE, structure="marked-circle", marking_weight=3.0)
+    batch, learner = batch_of(group, is_member), learner_of(recipe, group)
+    losses = learner.losses(batch, 0.0, torch.Generator().manual_seed(0))
+    said = told(learner, batch)
+    of_axis = -said.axis.log_density(batch.R_gt[:, None, :, 2])[:, 0]
+    of_pose = -said.pose.log_density(batch.R_gt[:, None])[0, 0]
+    shown = of_axis[0] + of_pose - 3.0 * torch.nn.functional.logsigmoid(said.is_shown[0])
+    assert float(losses[0]) == pytest.approx(float(shown), abs=1e-4)
+    chosen = torch.randint(720, (2, 32), generator=torch.Generator().manual_seed(0))[1]
+    views = (batch.R_gt[1] @ torch.from_numpy(group).float()[chosen])[:, 2]
+    of_views = -torch.nn.functional.logsigmoid(learner.model.hides(views)).mean()
+    hidden = of_axis[1] - 3.0 * torch.nn.functional.logsigmoid(-said.is_shown[1]) + 3.0 * of_views
+    assert float(losses[1]) == pytest.approx(float(hidden), abs=1e-4)
+
+
+def test_a_structure_of_circles_is_refused_for_a_body_without_one():
+    with pytest.raises(SettingsError, match=r"'circle' is for a body with a circle.*12 isolated rotations; take \"gro"):
+        body_for(replace(FREE, structure="circle"), tetrahedral_group(), torch.device("cpu"))
