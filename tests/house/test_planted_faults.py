@@ -87,7 +87,7 @@ FAULTS = {
     ),
     "triangles turned round forgotten": (
         "symsol_annot/annotation/visibility.py",
-        "near[~is_less] | turned[~is_behind]",
+        "near[~is_less] | turned[~is_inside(turned, outline)]",
         "near[~is_less] | near[~is_less]",
         "annotation/test_visibility.py::test_however_vertices_are_moved_the_count_lies_between_the_bounds[0.1-tetX]",
     ),
