@@ -187,7 +187,7 @@ def test_a_terminal_sees_a_bar_with_the_files_name(preds, data):
 # --- input that is wrong: exit code 1 and a message ---
 
 
-def refused(done, *words, code=1):
+def assert_refused(done, *words, code=1):
     assert done.returncode == code
     for word in words:
         assert re.search(word, done.stderr), done.stderr
@@ -196,28 +196,30 @@ def refused(done, *words, code=1):
 @pytest.mark.parametrize("command", ["score", "validate"])
 def test_a_missing_set_is_named(preds, data, here, tmp_path, command):
     nowhere = here(command, preds["tetX"], "--data", tmp_path)
-    refused(
+    assert_refused(
         nowhere, rf"^Error: {tmp_path}: holds no set of the object 'tetX': there is no set in it; --data names .*\n$"
     )
-    refused(here(command, preds["tetX"], "--data", tmp_path / "missing"), "holds no set of the object 'tetX'")
+    assert_refused(here(command, preds["tetX"], "--data", tmp_path / "missing"), "holds no set of the object 'tetX'")
     assert nowhere.stdout == ""
 
 
 def test_a_set_of_another_object_or_another_set_of_the_same_is_named(preds, sets, here, tmp_path):
     done = here("score", preds["tetX"], "--data", sets["cylO"].folder)
-    refused(done, "attribute 'object': expected 'cylO', found 'tetX'; --data names a set of another object")
+    assert_refused(done, "attribute 'object': expected 'cylO', found 'tetX'; --data names a set of another object")
     small_set(tmp_path, "tetX", 24, seed=7)
     done = here("validate", preds["tetX"], "--data", tmp_path)
-    refused(done, "attribute 'fingerprint': expected .* the file is about another data set, or another version of it")
+    assert_refused(
+        done, "attribute 'fingerprint': expected .* the file is about another data set, or another version of it"
+    )
 
 
 def test_a_damaged_set_is_named(preds, data, here, tmp_path):
     folder = Path(shutil.copytree(data / "cylO", tmp_path / "cylO"))
     (shard,) = folder.glob("*.h5")
     shard.write_bytes(shard.read_bytes()[:1000])
-    refused(here("validate", preds["cylO"], "--data", tmp_path), rf"^Error: .*{shard.name}")
+    assert_refused(here("validate", preds["cylO"], "--data", tmp_path), rf"^Error: .*{shard.name}")
     shard.unlink()
-    refused(here("score", preds["cylO"], "--data", tmp_path), "1 of 1 test shards are missing")
+    assert_refused(here("score", preds["cylO"], "--data", tmp_path), "1 of 1 test shards are missing")
 
 
 @pytest.mark.parametrize("command", ["score", "validate"])
@@ -231,7 +233,7 @@ def test_what_is_no_predictions_file_is_named(sets, data, here, tmp_path, comman
         (shard, "attribute 'format': expected 'symsol-annot predictions'"),
     ):
         done = here(command, path, "--data", data)
-        refused(done, rf"^Error: {path}: 1 fault; docs/submission.md says what belongs there:\n  - .*{words}")
+        assert_refused(done, rf"^Error: {path}: 1 fault; docs/submission.md says what belongs there:\n  - .*{words}")
         assert done.stdout == ""
 
 
@@ -264,7 +266,7 @@ FAULTS = (
 @pytest.mark.parametrize("command", ["score", "validate"])
 def test_all_faults_of_a_broken_file_are_listed_at_once(broken, data, here, command):
     done = (symsol if command == "validate" else here)(command, broken, "--data", data)
-    refused(done, rf"^Error: {broken}: 6 faults; docs/submission.md says", *FAULTS)
+    assert_refused(done, rf"^Error: {broken}: 6 faults; docs/submission.md says", *FAULTS)
     assert done.stderr.count("\n  - ") == len(FAULTS)
     assert done.stdout == ""
 
@@ -277,29 +279,31 @@ def test_validate_goes_on_after_a_broken_file(broken, preds, data, here):
 
 
 def test_files_that_make_no_table_together_are_refused(preds, sets, data, here, tmp_path):
-    refused(
+    assert_refused(
         here("score", preds["cylO"], preds["cylO"], "--data", data), "^Error: more than one of the files is about cylO"
     )
     write_hypotheses(tmp_path / "other.h5", sets["cylO"], lambda i: np.eye(3)[None], method="theirs")
     done = here("score", preds["tetX"], tmp_path / "other.h5", "--data", data)
-    refused(done, r"^Error: the files are of different methods \(mine, theirs\)")
+    assert_refused(done, r"^Error: the files are of different methods \(mine, theirs\)")
 
 
 @pytest.mark.parametrize("option", ["--json", "--per-image"])
 def test_a_path_that_cannot_be_written_is_an_error_after_the_table(preds, data, here, tmp_path, option):
     (tmp_path / "file").write_text("mine")
     done = here("score", preds["cylO"], "--data", data, option, tmp_path / "file" / "out")
-    refused(done, rf"^Error: {tmp_path}/file/out: cannot be written: a part of the path is a file")
+    assert_refused(done, rf"^Error: {tmp_path}/file/out: cannot be written: a part of the path is a file")
     assert done.stdout.startswith("cylO, test split, 4 images")
     done = here("score", preds["cylO"], "--data", data, option, tmp_path / "missing" / "out")
-    refused(done, rf"^Error: {tmp_path}/missing/out: cannot be written: No such file or directory")
+    assert_refused(done, rf"^Error: {tmp_path}/missing/out: cannot be written: No such file or directory")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_scores_that_cannot_be_compared_are_named(here, tmp_path):
     (tmp_path / "a.json").write_text("{}")
-    refused(here("compare", tmp_path / "a.json", tmp_path / "a.json"), rf"^Error: {tmp_path}/a.json: is no scores file")
-    refused(
+    assert_refused(
+        here("compare", tmp_path / "a.json", tmp_path / "a.json"), rf"^Error: {tmp_path}/a.json: is no scores file"
+    )
+    assert_refused(
         here("compare", tmp_path / "b.json", tmp_path / "a.json"),
         rf"^Error: {tmp_path}/b.json: cannot be read: No such",
     )
@@ -307,12 +311,12 @@ def test_scores_that_cannot_be_compared_are_named(here, tmp_path):
 
 def test_queries_and_reference_name_a_set_that_is_not_there_and_a_path_that_is_in_the_way(sets, here, tmp_path):
     for command in ("queries", "reference"):
-        refused(here(command, tmp_path, "--out", tmp_path / "out"), rf"^Error: {tmp_path}.*manifest.json")
-        refused(here(command, sets["cylO"].folder, "--split", "train"), "has no split 'train'; it has test")
+        assert_refused(here(command, tmp_path, "--out", tmp_path / "out"), rf"^Error: {tmp_path}.*manifest.json")
+        assert_refused(here(command, sets["cylO"].folder, "--split", "train"), "has no split 'train'; it has test")
     (tmp_path / "file").write_text("mine")
     for command in ("queries", "reference"):
         done = here(command, sets["cylO"].folder, "--out", tmp_path / "file" / "out")
-        refused(done, rf"^Error: {tmp_path}/file.*: cannot be written: .*is a file, not a folder")
+        assert_refused(done, rf"^Error: {tmp_path}/file.*: cannot be written: .*is a file, not a folder")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -337,7 +341,7 @@ def test_queries_and_reference_name_a_set_that_is_not_there_and_a_path_that_is_i
 )
 def test_a_wrong_command_line_is_refused(here, words, said):
     done = here(*words)
-    refused(done, re.escape(said), code=2)
+    assert_refused(done, re.escape(said), code=2)
     assert done.stdout == ""
 
 

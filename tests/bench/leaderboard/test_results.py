@@ -210,10 +210,11 @@ def test_a_hostile_toml_ends_in_a_short_message(text, said, folder):
 
 
 def test_what_an_operating_system_leaves_in_folders_is_passed_over(folder):
+    before = page_of(folder)
     (folder / ".git").mkdir()
     (folder / "tiny" / "._far.toml").write_bytes(b"\x00")
     (folder / "tiny" / ".DS_Store").write_bytes(b"\x00")
-    read_leaderboard(str(folder))
+    assert page_of(folder) == before
 
 
 def test_a_row_of_the_thesis_has_what_was_run_below_it_or_says_that_nothing_was(folder):
