@@ -210,6 +210,7 @@ class Dataset(Closing, Sequence[Sample]):
             raise NotAnnotatedError(f"{self.folder}: the {self.split} split {without_sets}")
         rows = list(self._rows)
         shards = [self._labels_of(number) for number in range(len(self._entries))]
+        self._refuse_another_stabiliser(shards)
         columns = {name: np.concatenate([shard[name] for shard in shards])[rows] for name in shards[0]}
         return Labels(symmetry_group=self.symmetry_group, **columns)
 
@@ -255,6 +256,15 @@ class Dataset(Closing, Sequence[Sample]):
             path = self.folder / self._entries[number].file
             raise DataError(f"{path}: its symmetry_group is not the first shard's")
         return shard.labels()
+
+    def _refuse_another_stabiliser(self, shards: list[dict[str, npt.NDArray[Any]]]) -> None:
+        """Refuse labels of shards whose images that show the marking have not the same set in all of them."""
+        sets = [shard["symmetry_mask"][shard["marking_visible"]] for shard in shards]
+        showing = [number for number, found in enumerate(sets) if len(found)]
+        for number in showing[1:]:
+            if not np.array_equal(sets[number][0], sets[showing[0]][0]):
+                path, first = self.folder / self._entries[number].file, self._entries[showing[0]].file
+                raise DataError(f"{path}: the set of its images that show the marking is not that of {first}")
 
     def close(self) -> None:
         """Close the files; the next access opens them again."""

@@ -13,8 +13,8 @@ from symsol_annot.rendering.renderer import BACKGROUND
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.manifest import Manifest, ShardEntry, read_manifest, shards_in
 from symsol_annot.sets.membership import membership_faults
-from symsol_annot.sets.shard.laws import label_faults
-from symsol_annot.sets.shard.reader import Shard, content_sha256, open_shard
+from symsol_annot.sets.shard.laws import label_faults, stabiliser_of
+from symsol_annot.sets.shard.reader import Shard, ShardLabels, content_sha256, open_shard
 from symsol_annot.system.reading import file_sha256
 
 Flags: TypeAlias = npt.NDArray[np.bool_]
@@ -36,9 +36,9 @@ def verify(folder: Path, on_shard: Callable[[], object] = lambda: None) -> list[
     """
     manifest = read_manifest(folder)
     faults = _folder_faults(folder, manifest)
-    first = _FirstShard()
+    common = _Common()
     for entry in manifest.shards:
-        faults += [f"{entry.file}: {fault}" for fault in _shard_faults(folder, manifest, entry, first)]
+        faults += [f"{entry.file}: {fault}" for fault in _shard_faults(folder, manifest, entry, common)]
         on_shard()
     return faults
 
@@ -55,7 +55,7 @@ def _folder_faults(folder: Path, manifest: Manifest) -> list[str]:
     return faults
 
 
-def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, first: "_FirstShard") -> list[str]:
+def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, common: "_Common") -> list[str]:
     if not entry.is_finished:
         return []
     path = folder / entry.file
@@ -75,7 +75,9 @@ def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, first: "_
             labels = shard.labels()
             faults += label_faults(shard, labels)
             faults += _content_faults(shard, entry)
-            faults += first.faults_of(labels.symmetry_group, shard.versions_text)
+            faults += common.faults_of(shard, labels)
+            if manifest.is_annotated(entry.split):
+                faults += common.stabiliser_faults(entry.file, shard, labels)
     except DataError as error:
         faults.append(str(error))
     return faults
@@ -113,17 +115,44 @@ def _is_depth(depth: npt.NDArray[np.float32], ids: npt.NDArray[np.uint8]) -> boo
     return bool(np.isfinite(depth).all() and ((depth > 0) == (ids != BACKGROUND)).all() and (depth >= 0).all())
 
 
-class _FirstShard:
-    """What the first shard that was read holds and all others must hold too."""
+class _Common:
+    """What the shards of a set have in common, as the first that was read and has it says."""
 
     def __init__(self) -> None:
         self._group: Rotations | None = None
         self._versions = ""
+        self._stabiliser: tuple[str, Flags] | None = None
 
-    def faults_of(self, group: Rotations, versions: str) -> Iterator[str]:
+    def faults_of(self, shard: Shard, labels: ShardLabels) -> Iterator[str]:
+        """Yield in what a shard is not like the first one."""
         if self._group is None:
-            self._group, self._versions = group, versions
-        if not np.array_equal(self._group, group):
+            self._group, self._versions = labels.symmetry_group, shard.versions_text
+        if not np.array_equal(self._group, labels.symmetry_group):
             yield "symmetry_group: is not that of the set's first shard"
-        if versions != self._versions:
-            yield f"versions: made with other software than the set's first shard: {versions}"
+        if shard.versions_text != self._versions:
+            yield f"versions: made with other software than the set's first shard: {shard.versions_text}"
+
+    def stabiliser_faults(self, file: str, shard: Shard, labels: ShardLabels) -> Iterator[str]:
+        """Yield whether a shard with the common group has another stabiliser than those before it.
+
+        Args:
+            file: the shard's name, for the message about a later one.
+            shard: one that was given to `faults_of`.
+            labels: its own.
+        """
+        stabiliser = stabiliser_of(shard, labels)
+        if stabiliser is None or self._group is None or not np.array_equal(self._group, labels.symmetry_group):
+            return
+        if self._stabiliser is None:
+            self._stabiliser = file, stabiliser
+        known_from, known = self._stabiliser
+        if not np.array_equal(stabiliser, known):
+            yield (
+                f"symmetry_mask: the set of the images that show the marking is not that of {known_from}: "
+                f"{_elements(stabiliser)} of symmetry_group, expected {_elements(known)}"
+            )
+
+
+def _elements(chosen: Flags) -> str:
+    numbers = [str(number) for number in np.flatnonzero(chosen)]
+    return f"element {first_of(numbers, _LISTED_ROWS)}"

@@ -93,10 +93,11 @@ def test_a_renderer_that_draws_otherwise_than_at_its_start_fails_its_check(kind)
 
 def test_a_renderer_that_draws_as_at_its_start_passes_every_check():
     renderer = controlled()
-    for R in uniform_rotations(5, np.random.default_rng(1)):
+    for number, R in enumerate(uniform_rotations(5, np.random.default_rng(1)), start=1):
         renderer.render(R)
         renderer.marking_pixels(R[None])
         renderer.check()
+        assert renderer.frames == 2 * number + (number + 1) * CONTROL_FRAMES
 
 
 @pytest.mark.parametrize("draw", ["render", "marking_pixels"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_sets import make_set
 from processes import open_shards
-from read_samples import PER_SHARD, TEST_IMAGES, TRAIN_IMAGES, assert_is, expected_samples, indices
+from read_samples import PER_SHARD, SLICES, TEST_IMAGES, TRAIN_IMAGES, assert_is, expected_samples, indices
 from tampering import marked
 
 import symsol_annot
@@ -115,20 +115,6 @@ def test_depth_is_what_h5py_reads(tmp_path):
         for sample, fields in zip(dataset, expected, strict=True):
             assert sample.depth.dtype == np.float32
             np.testing.assert_array_equal(sample.depth, fields["depth"])
-
-
-SLICES = [
-    slice(None),
-    slice(5),
-    slice(10, 30),
-    slice(15, 17),
-    slice(None, None, 7),
-    slice(39, 2, -5),
-    slice(None, None, -1),
-    slice(-3, None),
-    slice(20, 10),
-    slice(0, 1000),
-]
 
 
 @pytest.mark.parametrize("outer", SLICES)

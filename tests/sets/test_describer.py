@@ -66,11 +66,12 @@ def is_running(pid):
         return False
 
 
-def wait_for_end(pid):
+def has_ended(pid):
+    """Whether a process is gone, which it is given a minute for."""
     deadline = time.monotonic() + 60
     while is_running(pid) and time.monotonic() < deadline:
         time.sleep(0.02)
-    assert not is_running(pid)
+    return not is_running(pid)
 
 
 # It serves one shard after the other
@@ -91,7 +92,7 @@ def test_process_that_somebody_ended_between_two_shards_is_started_again(many_sh
         assert opens(path) == (16, 3, 3)
         pid = pid_of(describer)
         os.kill(pid, number)
-        wait_for_end(pid)
+        assert has_ended(pid)
     assert opens(many_shards[3]) == (16, 3, 3)
 
 
@@ -186,7 +187,7 @@ def test_forked_and_spawned_workers_have_processes_of_their_own_which_end_with_t
         pids.append(receiving.recv())
         worker.join(timeout=60)
         assert worker.exitcode == 0
-        wait_for_end(pids[-1])
+        assert has_ended(pids[-1])
     assert len(set(pids)) == 4
     assert opens(many_shards[2]) == (16, 3, 3)
     assert pid_of(describer) == pids[0]
@@ -277,7 +278,7 @@ def test_process_outlives_no_parent_however_that_ends(many_shards, end):
         if "sleep" in end:
             process.kill()
         process.wait(timeout=60)
-    wait_for_end(pid)
+    assert has_ended(pid)
 
 
 # What this process takes no part in

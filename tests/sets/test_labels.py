@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 from made_sets import make_set
+from read_samples import PER_SHARD, SLICES, TEST_IMAGES
 from scipy.spatial.transform import Rotation
 from tampering import change_group, descriptors, flip_chunk, marked, put, reseal
 
@@ -19,18 +20,6 @@ from symsol_annot.sets import plan as plan_module
 from symsol_annot.sets.dataset import load
 from symsol_annot.sets.manifest import read_manifest
 
-TEST_IMAGES, PER_SHARD = 40, 16
-SLICES = [
-    slice(None),
-    slice(5),
-    slice(10, 30),
-    slice(15, 17),
-    slice(None, None, 7),
-    slice(39, 2, -5),
-    slice(None, None, -1),
-    slice(-3, None),
-    slice(20, 10),
-]
 FIELDS = {
     "rotation": "<f8",
     "symmetry_mask": "|b1",

@@ -1,7 +1,7 @@
 """Changes of a valid predictions file, each of which a reader has to name or to take as nothing."""
 
 import numpy as np
-from fuzz_predictions import HYPOTHESES, IMAGES
+from valid_predictions import HYPOTHESES, IMAGES
 
 CELLS = 72  # of the grid of level 0
 MISSING = object()

@@ -6,6 +6,18 @@ import numpy as np
 from symsol_annot.sets.dataset import Sample
 
 TEST_IMAGES, TRAIN_IMAGES, PER_SHARD = 40, 5, 16
+SLICES = [
+    slice(None),
+    slice(5),
+    slice(10, 30),
+    slice(15, 17),
+    slice(None, None, 7),
+    slice(39, 2, -5),
+    slice(None, None, -1),
+    slice(-3, None),
+    slice(20, 10),
+    slice(0, 1000),
+]
 
 
 def expected_samples(folder, split="test"):

@@ -41,6 +41,15 @@ def other(tmp_path):
         process.kill()
 
 
+def probed(folder):
+    """Who holds a folder, as one who would like to hold it is told."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        return try_lock(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def without_locks(monkeypatch, number):
     def refuse(*_):
         raise OSError(number, os.strerror(number))
@@ -56,10 +65,10 @@ def test_folder_that_another_process_holds_is_refused_by_the_name_of_who_holds_i
 
 
 def test_lock_ends_with_its_process_however_that_ends(tmp_path, other):
+    assert probed(tmp_path) is Held.ELSEWHERE
     other.kill()
     other.wait()
-    with locked(tmp_path):
-        pass
+    assert probed(tmp_path) is Held.HERE
 
 
 def test_lock_ends_with_its_block_and_leaves_no_file(tmp_path):

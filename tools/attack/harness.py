@@ -124,7 +124,8 @@ def _environment(root, tree):
     for name, folder in _FOLDERS.items():
         copytree(tree / folder, imported / name, ignore=ignore_patterns("__pycache__"))
     copytree(_HERE, imported / "attack", ignore=ignore_patterns("__pycache__"))
-    copy(_HERE.parent / "fuzz_predictions.py", imported)
+    for name in ("forked_readers.py", "fuzz_predictions.py", "valid_predictions.py"):
+        copy(_HERE.parent / name, imported)
     paths = os.pathsep.join(str(imported / name) for name in ("", "support"))
     (root / "home").mkdir()
     own = {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "agg"}

@@ -3,8 +3,10 @@
 import contextlib
 import resource
 
+import forked_readers
 import fuzz_predictions
 import numpy as np
+import valid_predictions
 
 from attack import laws
 from attack.commands import outcome_of_command
@@ -62,7 +64,7 @@ class Predictions(Kind):
 @contextlib.contextmanager
 def _able_to_open_others():
     """Start reading processes by a fork, without their limit on open files."""
-    child = fuzz_predictions.hdf5_child
+    child = forked_readers.hdf5_child
     limit, set_limit = child._limit, resource.setrlimit
 
     def limit_the_rest(memory_bytes):
@@ -70,11 +72,11 @@ def _able_to_open_others():
         limit(memory_bytes)
 
     child._limit = limit_the_rest
-    with fuzz_predictions.forked_children():
+    with forked_readers.forked_children():
         yield
 
 
 def make_predictions(folder):
     """Make a set and valid files about it."""
     folder.mkdir()
-    fuzz_predictions.make_bases(folder)
+    valid_predictions.make_bases(folder)

@@ -50,6 +50,18 @@ def label_faults(shard: Shard, labels: ShardLabels) -> Iterator[str]:
         yield from _mask_faults(labels, labels.symmetry_mask, shard.tolerance_px, tolerance, images)
 
 
+def stabiliser_of(shard: Shard, labels: ShardLabels) -> Flags | None:
+    """Return which (G,) symmetries map the marking onto itself: the one set of all images that show it.
+
+    Returns:
+        None where no image shows a marking, no image has a set, or those that show it differ, which is a fault.
+    """
+    if labels.symmetry_mask is None or labels.marking_pixels is None or math.isnan(shard.tolerance_px):
+        return None
+    sets = labels.symmetry_mask[labels.marking_pixels >= shard.tolerance_px]
+    return sets[0] if len(sets) and (sets == sets[0]).all() else None
+
+
 def _area_faults(shard: Shard, labels: ShardLabels, images: Images) -> Iterator[str]:
     """Yield which areas no image can have."""
     marking, parts = labels.marking_pixels, labels.part_pixels

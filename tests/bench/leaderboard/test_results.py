@@ -1,192 +1,19 @@
-"""The leaderboard shows what the files of results say, and refuses files that nobody could check."""
+"""The leaderboard's files: what nobody could check is refused, all of it at once."""
 
-import html
-import importlib.util
 import json
 import os
 import re
 import shutil
-import tomllib
 from pathlib import Path
-from types import SimpleNamespace
 
-import markdown
-import numpy as np
 import pytest
-from bench_sets import small_set
-from click.testing import CliRunner
-from mkdocs.config import load_config
-from scipy.spatial.transform import Rotation
-from symsol_annot_cli.leaderboard import leaderboard
+from leaderboard_files import IMAGES, change_of, edited
 
-from symsol_annot.bench.leaderboard.page import to_markdown
 from symsol_annot.bench.leaderboard.results import read_leaderboard
-from symsol_annot.bench.predictions.writing.submission import write_classifier, write_hypotheses
-from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.metric import Place
-from symsol_annot.bench.scoring.reference import score_row
 from symsol_annot.bench.scoring.scorers.table import metrics_shown
 from symsol_annot.bench.scoring.scores_file import figures_that_differ
-from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import ScoresError
-
-ROOT = Path(__file__).resolve().parents[3]
-FILES = ROOT / "docs" / "results" / "leaderboard"
-IMAGES = 24
-NOTES = 'a "quote", a \\ and an é,\non two lines'
-
-
-@pytest.fixture(scope="module")
-def images(tmp_path_factory):
-    return small_set(tmp_path_factory.mktemp("sets"), "tetX", IMAGES)
-
-
-@pytest.fixture(scope="module")
-def original(images, tmp_path_factory):
-    """A folder with one set and two results on it, the second with larger errors and a classifier's track as well."""
-    folder = tmp_path_factory.mktemp("board")
-    shutil.copy(FILES / "thesis.toml", folder)
-    place = folder / "tiny"
-    place.mkdir()
-    (place / "set.toml").write_text(
-        f'title = "Tiny"\nsplit = "test"\nimages = {IMAGES}\ncommands = ["symsol-annot render --object tetX"]\n'
-        f'[fingerprints]\ntetX = "{images.fingerprint}"\n'
-    )
-    for name, error_rad in {"near": 0.01, "far": 0.3}.items():
-        path = folder / f"{name}.h5"
-        turn = Rotation.from_rotvec([error_rad, 0, 0]).as_matrix()
-        write_hypotheses(path, images, (images.labels().rotation @ turn)[:, None], method=name)
-        if name == "far":
-            write_classifier(path, images, lambda _, R: 0.9 * (R[:, 0, 0] > 0.5), method=name, level=4, progress=False)
-        scores = score_file(path, images.folder)
-        (place / f"{name}.json").write_text(report.to_json(report.to_document([scores])))
-        path.unlink()
-        (place / f"{name}.toml").write_text(
-            f'title = "The {name} one"\nby = "a lab"\ndate = 2026-01-02\nhardware = "an abacus"\n'
-            f'commands = ["./{name}.sh"]\nrecipe = "{"ewta-von-mises" if name == "near" else "small-wta"}"\n'
-            "[objects.tetX]\nseed = 7\nminutes = 3.25\n"
-        )
-    return folder
-
-
-@pytest.fixture
-def folder(original, tmp_path):
-    return Path(shutil.copytree(original, tmp_path / "board"))
-
-
-def page_of(folder):
-    return to_markdown(read_leaderboard(folder), str(folder), "files", "page.md")
-
-
-def tables_of(page):
-    """Title of each heading to the rows below it, cells stripped."""
-    tables = {}
-    for part in re.split(r"^#+ ", page, flags=re.MULTILINE)[1:]:
-        rows = [
-            [cell.strip() for cell in line.strip("|").split(" | ")] for line in part.splitlines() if line[:1] == "|"
-        ]
-        tables[part.splitlines()[0]] = rows
-    return tables
-
-
-def edited(path, *keys, value):
-    """Change one value of a JSON file."""
-    document = json.loads(path.read_text())
-    table = document
-    for key in keys[:-1]:
-        table = table[key]
-    table[keys[-1]] = value
-    path.write_text(json.dumps(document))
-
-
-def test_the_page_of_the_repository_is_what_its_files_give(monkeypatch):
-    monkeypatch.chdir(ROOT)
-    done = CliRunner().invoke(leaderboard, ["docs/results/leaderboard", "--out", "docs/leaderboard.md", "--check"])
-    assert done.exit_code == 0, done.exception
-
-
-def test_rows_hold_the_figures_of_the_scores_the_best_first(folder):
-    rows = tables_of(page_of(folder))["tetX, hypotheses"]
-    assert [row[0] for row in rows[2:]] == ["The near one", "The far one"]
-    scores = json.loads((folder / "tiny" / "far.json").read_text())["objects"]["tetX"]["hypotheses"]["all"]
-    column = rows[0].index("precision mean error, rad (5.9) ↓")
-    assert rows[3][column].startswith(f"{scores['precision_mean_error_rad']['value']:.4f} [")
-    assert rows[3][-1] == "[far](files/tiny/far.json)"
-
-
-def test_each_row_of_hypotheses_has_its_M(folder):
-    rows = tables_of(page_of(folder))["tetX, hypotheses"]
-    assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "1"]
-    assert "M" not in tables_of(page_of(folder))["tetX, classifier"][0]
-
-
-def test_nobody_ranks_first_by_listing_everything(folder, images, tmp_path):
-    labels = images.labels()
-    for ending in ("toml", "json"):
-        (folder / "tiny" / f"far.{ending}").unlink()
-    rng = np.random.default_rng(0)
-    noise = Rotation.random(len(labels) * 400, random_state=rng).as_matrix().reshape(len(labels), 400, 3, 3)
-    everything = np.concatenate([labels.rotation[:, None] @ labels.symmetry_group, noise], axis=1)
-    weights = np.full(everything.shape[:2], 1e-30)
-    weights[:, 0] = 1.0  # the first is right; the others hardly count for precision, but fully for recall
-    for name, given in {"listed": None, "weighted": weights}.items():
-        path = tmp_path / f"{name}.h5"
-        write_hypotheses(path, images, everything, method=name, weights=given, progress=False)
-        document = report.to_document([score_file(path, images.folder)])
-        (folder / "tiny" / f"{name}.json").write_text(report.to_json(document))
-        toml = (folder / "tiny" / "near.toml").read_text().replace("The near one", f"The {name} one")
-        (folder / "tiny" / f"{name}.toml").write_text(toml)
-    page = page_of(folder)
-    rows = tables_of(page)["tetX, hypotheses"]
-    assert rows[2][0] == "The near one"
-    assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "412", "412"]
-    assert [row[rows[0].index("recall mean error, rad (5.7) ↓")][:6] for row in rows[3:]] == ["0.0000", "0.0000"]
-    assert "How results rank" in page
-
-
-def test_reference_rows_stand_below_the_results_without_a_rank(folder, images, tmp_path):
-    (folder / "tiny" / "reference").mkdir()
-    document = score_row("truth", [images], tmp_path, 0)  # on a grid that does not rank
-    assert not document["ranks"]
-    path = folder / "tiny" / "reference" / "truth.json"
-    path.write_text(report.to_json(document))
-    rows = tables_of(page_of(folder))["tetX, hypotheses"]
-    assert [row[0] for row in rows[2:]] == ["The near one", "The far one", "*truth*"]
-    assert rows[4][1:3] == ["reference", "9"]
-    assert rows[4][-1] == "[truth](files/tiny/reference/truth.json)"
-    edited(path, "objects", "tetX", "fingerprint", value="0" * 64)
-    with pytest.raises(ScoresError, match=r"reference/truth\.json: .*fingerprint: expected"):
-        read_leaderboard(folder)
-
-
-def test_code_may_stand_in_place_of_commands(folder):
-    change_of("far.toml", 'commands = ["./far.sh"]', 'code = "https://example.org/far"')(folder / "tiny")
-    assert "https&#58;//example.org/far" in page_of(folder)
-    change_of("far.toml", 'code = "https://example.org/far"', 'code = " "')(folder / "tiny")
-    with pytest.raises(ScoresError, match="commands, code: one of them has to say"):
-        read_leaderboard(folder)
-
-
-@pytest.mark.parametrize(
-    "words", ["::: symsol_annot", "!!! note", "# heading", "<script>alert(1)</script>", "[x](javascript:1)"]
-)
-def test_hostile_words_in_every_field_are_words_on_the_built_page(words, folder):
-    quoted = json.dumps(words)
-    place = folder / "tiny"
-    change_of("far.toml", '"The far one"', quoted)(place)
-    change_of("far.toml", '"a lab"', quoted)(place)
-    change_of("far.toml", '"an abacus"', f"{quoted}\nnotes = {quoted}\ncode = {quoted}")(place)
-    change_of("far.toml", 'commands = ["./far.sh"]', f"commands = [{json.dumps('```')}, {quoted}]")(place)
-    change_of("far.toml", "minutes = 3.25", f"minutes = 3.25\nfirst_stage = {quoted}")(place)
-    change_of("set.toml", 'title = "Tiny"', f"title = {quoted}\nnotes = {quoted}")(place)
-    config = load_config(str(ROOT / "mkdocs.yml"))
-    page = markdown.markdown(
-        page_of(folder), extensions=config.markdown_extensions, extension_configs=config.mdx_configs
-    )
-    shown = html.unescape(re.sub(r"<[^>]*>", "", page))
-    assert shown.count(words) == 13  # two rows' titles and names, five facts, a command, a first stage, a set's two
-    assert not re.search(r"<script|javascript:1\"|admonition|doc ", page)
-    assert page.count("<pre") == 3  # of the set and of two results
 
 
 @pytest.mark.parametrize(
@@ -207,79 +34,6 @@ def test_a_hostile_toml_ends_in_a_short_message(text, said, folder):
     assert said in str(refused.value)
     assert len(str(refused.value)) < 10_000
     assert all(line.isprintable() for line in str(refused.value).splitlines())
-
-
-def test_what_an_operating_system_leaves_in_folders_is_passed_over(folder):
-    (folder / ".git").mkdir()
-    (folder / "tiny" / "._far.toml").write_bytes(b"\x00")
-    (folder / "tiny" / ".DS_Store").write_bytes(b"\x00")
-    read_leaderboard(str(folder))
-
-
-def test_a_row_of_the_thesis_has_what_was_run_below_it_or_says_that_nothing_was(folder):
-    page = page_of(folder)
-    table = tables_of(page)["Table 5.2, precision: mean error, rad"]
-    thesis = tomllib.loads((FILES / "thesis.toml").read_text())["tables"]["Table 5.2, precision: mean error, rad"]
-    assert [row[0].strip("`") for row in table[2:] if row[1].startswith("thesis, M = 30")] == list(thesis["rows"])
-    for recipe, values in thesis["rows"].items():
-        row = next(row for row in table if row[0] == f"`{recipe}`")
-        assert row[1] == "thesis, M = 30, 75"  # the icosahedron has 60 members
-        assert row[2:] == ["" if np.isnan(value) else f"{value:.3f}" for value in values]
-    here = {table[i - 1][0]: row for i, row in enumerate(table) if row[1].startswith("here, ")}
-    assert here["`ewta-von-mises`"] == [
-        "`ewta-von-mises`",
-        "here, tiny/near, M = 1",
-        "",
-        "",
-        "",
-        "",
-        "",
-        "**0.010**",
-        "",
-    ]
-    assert here["`wta-von-mises`"][:2] == ["`small-wta`", "here, tiny/far, M = 1"]  # which stands for it
-    assert "Not run here: `wta-cosine`, `rwta-cosine`, `rwta-von-mises`, `ewta-cosine`.\n" in page
-
-
-def test_each_result_by_a_recipe_has_its_row_beside_the_thesis(folder):
-    place = folder / "tiny"
-    shutil.copy(place / "far.toml", place / "z-again.toml")
-    shutil.copy(place / "far.json", place / "z-again.json")
-    edited(place / "z-again.json", "objects", "tetX", "predictions", "sha256", value="0" * 64)
-    change_of("far.toml", '"small-wta"', '"wta-von-mises"')(place)  # by the recipe itself; the other by its small one
-    rows = tables_of(page_of(folder))["Table 5.1, recall: mean error, rad"]
-    at = next(i for i, row in enumerate(rows) if row[0] == "`wta-von-mises`")
-    assert [row[:2] for row in rows[at + 1 : at + 3]] == [
-        ["`wta-von-mises`", "here, tiny/far, M = 1"],
-        ["`small-wta`", "here, tiny/z-again, M = 1"],
-    ]
-
-
-def test_how_a_result_was_made_stands_on_the_page(folder):
-    page = page_of(folder)
-    sha256 = json.loads((folder / "tiny" / "far.json").read_text())["objects"]["tetX"]["predictions"]["sha256"]
-    assert tables_of(page)["tiny/far"][2] == ["tetX", "7", "3.2", "", "", f"`{sha256}`"]
-    assert "./far.sh" in page
-    assert "an abacus" in page
-
-
-def test_words_of_unknown_origin_are_text(folder):
-    file = folder / "tiny" / "near.toml"
-    file.write_text(file.read_text().replace("The near one", "a | b <script>x</script> [y](z)\\n# h"))
-    page = page_of(folder)
-    assert "<script>" not in page
-    assert "[y](z)" not in page
-    assert "\n# h" not in page
-    row = next(line for line in page.splitlines() if "script" in line and line.startswith("|"))
-    assert len(re.split(r"(?<!\\)\|", row)) == 2 + len(tables_of(page)["tetX, hypotheses"][0])
-
-
-def test_a_set_of_unknown_origin_is_text(folder):
-    title = 'title = "Tiny"\n'
-    change_of("set.toml", title, title + r'notes = "<script>x</script> [y](z)\n\u202e# `h`"' + "\n")(folder / "tiny")
-    line = next(line for line in page_of(folder).splitlines() if "of the test split" in line)
-    assert html.unescape(line).endswith("of the test split. <script>x</script> [y](z) # `h`")
-    assert not set(line) & set("<>[]`")
 
 
 @pytest.mark.parametrize("name", ["a|b", "[x](http:evil)", "<b>", "a b", "é", "a\nb", "`"])
@@ -347,15 +101,6 @@ def test_tables_of_the_thesis_that_do_not_fit_are_refused(before, after, said, f
     file.write_text(file.read_text().replace(before, after, 1))
     with pytest.raises(ScoresError, match=rf"thesis\.toml: .*{re.escape(said)}"):
         read_leaderboard(folder)
-
-
-def change_of(file, before, after):
-    def change(place):
-        text = (place / file).read_text()
-        assert before in text
-        (place / file).write_text(text.replace(before, after))
-
-    return change
 
 
 def scores_with(*keys, value):
@@ -439,40 +184,6 @@ def test_no_figure_differs_in_what_score_wrote(folder):
     for name in ("near", "far"):
         document = json.loads((folder / "tiny" / f"{name}.json").read_text())
         assert list(figures_that_differ(document["objects"]["tetX"])) == []
-
-
-def test_check_writes_nothing_and_fails_where_the_page_is_old(folder, tmp_path):
-    page = tmp_path / "page.md"
-    run = CliRunner()
-    assert isinstance(run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"]).exception, ScoresError)
-    assert not page.exists()
-    assert run.invoke(leaderboard, [str(folder), "--out", str(page)]).exit_code == 0
-    before = page.read_bytes()
-    assert run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"]).exit_code == 0
-    (folder / "tiny" / "far.toml").unlink()
-    (folder / "tiny" / "far.json").unlink()
-    refused = run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"])
-    assert "is not what" in str(refused.exception)
-    assert page.read_bytes() == before
-
-
-@pytest.fixture
-def baselines():
-    """docs/baselines.py, with trainings that took a minute each."""
-    found = importlib.util.spec_from_file_location("baselines", ROOT / "docs" / "baselines.py")
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    row = {"seconds": 60.0, "processor_seconds": 30.0}
-    record = SimpleNamespace(rows=(row,), seed=0, first_stage="random", software={"device": "cpu x", "torch": "2"})
-    module.read_record = lambda _: record
-    return module
-
-
-def test_a_baseline_that_is_made_again_keeps_the_notes_of_its_file(baselines, tmp_path):
-    baselines.PLACE = tmp_path
-    (tmp_path / "small-wta.toml").write_text(f"notes = {json.dumps(NOTES)}\n")
-    assert tomllib.loads(baselines.result("small-wta", tmp_path))["notes"] == NOTES
-    assert "notes" not in tomllib.loads(baselines.result("small-rwta", tmp_path))
 
 
 def test_a_folder_without_the_thesis_is_no_leaderboard(tmp_path):

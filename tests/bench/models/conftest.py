@@ -4,6 +4,7 @@ import pytest
 import torch
 from made_sets import make_set
 from tiny_training import CPU, RECIPES
+from torchvision_weights import torchvision_weights
 
 from symsol_annot.bench.models.training import loop
 from symsol_annot.bench.models.training.curve import plot_curve
@@ -48,3 +49,11 @@ def trained(data, tmp_path_factory):
         for name, recipe in RECIPES.items():
             train(recipe, load(data / "tetX", "train"), runs / name, CPU, name=name)
     return {name: runs / name for name in RECIPES}
+
+
+@pytest.fixture(scope="session")
+def torchvision_file(tmp_path_factory):
+    """A file as torchvision publishes it, with other numbers."""
+    path = tmp_path_factory.mktemp("weights") / "resnet18.pth"
+    torch.save(torchvision_weights(), path)
+    return path

@@ -3,14 +3,15 @@
 import shutil
 from pathlib import Path
 
-import fuzz_predictions
 import h5py
 import numpy as np
 import pytest
+import valid_predictions
 from bench_sets import small_set
 from changed_predictions import MISSING
-from fuzz_predictions import forked_children, valid_attributes, valid_columns, write_file
+from forked_readers import forked_children
 from made_sets import make_set
+from valid_predictions import valid_attributes, valid_columns, write_file
 from written_predictions import IMAGES, write
 
 from symsol_annot import load
@@ -66,7 +67,7 @@ def forked():
 def data(tmp_path_factory):
     """A folder with a tetX set of 6 images."""
     folder = tmp_path_factory.mktemp("data")
-    make_set(folder, "tetX", test=fuzz_predictions.IMAGES)
+    make_set(folder, "tetX", test=valid_predictions.IMAGES)
     return folder
 
 
@@ -124,3 +125,9 @@ def refused(tmp_path, data, forked):
         return "\n".join(caught.value.faults)
 
     return why
+
+
+@pytest.fixture(scope="session")
+def dozen(tmp_path_factory):
+    """A test split of 12 images."""
+    return small_set(tmp_path_factory.mktemp("sets"), "tetX", 12)

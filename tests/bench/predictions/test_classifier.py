@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from changed_predictions import changed, figures
-from fuzz_predictions import LEVEL
+from valid_predictions import LEVEL
 
 
 def test_a_floor_may_be_a_long_double_or_a_whole_number(scores):

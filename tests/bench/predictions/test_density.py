@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from changed_predictions import CELLS, figures, sparse, with_rows
-from fuzz_predictions import IMAGES
+from valid_predictions import IMAGES
 
 
 def test_a_density_may_list_every_cell(scores):

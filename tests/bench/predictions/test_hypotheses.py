@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from changed_predictions import MISSING, SHAPE, changed, figures, replaced
-from fuzz_predictions import HYPOTHESES, IMAGES
+from valid_predictions import HYPOTHESES, IMAGES
 
 from symsol_annot.bench.scoring.scorers.hypotheses import F_UNWEIGHTED
 

@@ -219,7 +219,8 @@ def preds(test_set, tmp_path):
 
 def test_a_set_is_found_by_its_object_whatever_its_folder_is_called(test_set, preds, tmp_path):
     shutil.copytree(test_set.folder, tmp_path / "data" / "renamed set")
-    score_file(preds, tmp_path / "data")
+    with open_predictions(preds, tmp_path / "data") as predictions:
+        assert predictions.truth.folder == str(tmp_path / "data" / "renamed set")
 
 
 def test_of_several_sets_of_an_object_the_one_is_taken_that_the_file_is_about(test_set, preds, tmp_path):

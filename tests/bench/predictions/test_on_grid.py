@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from changed_predictions import CELLS, GRID, sparse
-from fuzz_predictions import IMAGES
+from valid_predictions import IMAGES
 
 UNSORTED = "are not ascending, or one is repeated"
 INDICES = {

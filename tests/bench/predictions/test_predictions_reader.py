@@ -1,6 +1,6 @@
 """Predictions files: what is valid is scored, and all of a file's faults are named at once.
 
-The files are written with h5py alone. Processes that read them are forked (fuzz_predictions.py), which is faster;
+The files are written with h5py alone. Processes that read them are forked (forked_readers.py), which is faster;
 test_sandboxed_file.py is about the processes that the product starts.
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from changed_predictions import figures, replaced, with_rows
-from fuzz_predictions import HYPOTHESES, IMAGES, STORAGE
+from valid_predictions import HYPOTHESES, IMAGES, STORAGE
 
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
 from symsol_annot.bench.predictions.tracks.table import TRACKS

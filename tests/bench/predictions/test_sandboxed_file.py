@@ -13,8 +13,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from fuzz_predictions import IMAGES, Opened, forked_children, valid_attributes, valid_columns, write_file
+from forked_readers import Opened, forked_children
 from made_sets import make_set
+from valid_predictions import IMAGES, valid_attributes, valid_columns, write_file
 
 from symsol_annot import load
 from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from symsol_annot.bench.predictions.columns import Answers, Array, Column
+from symsol_annot.bench.predictions.columns import Array, Column
 from symsol_annot.bench.predictions.format import (
     FILE_ATTRIBUTES,
     IMAGE_INDEX,
@@ -56,8 +56,10 @@ class PredictionsFile:
         self._kept, self._has_asked = KeptAnswers(parts, track.name, len(dataset)), False
         self._refuse_another()
 
-    def collect(self, ask: Callable[[int], Answer], *, resume: Resume, progress: bool) -> Answers:
-        """Ask about every image that was not asked about before; the answers are kept until the file is written.
+    def write_answers(self, ask: Callable[[int], Answer], *, resume: Resume, progress: bool) -> None:
+        """Ask about every image that was not asked about before, and write what was answered about all.
+
+        The answers are kept until the file is written.
 
         Args:
             ask: from an image's index to arrays by the names of data sets.
@@ -65,8 +67,8 @@ class PredictionsFile:
             progress: show a bar where standard error is a terminal.
 
         Raises:
-            PredictionsError: there are answers that may be another model's.
-            OutputError: what was answered cannot be kept.
+            PredictionsError: there are answers that may be another model's, or what was written has faults.
+            OutputError: what was answered cannot be kept, or the file cannot be written.
         """
         self._kept.begin(self._attributes, resume)
         self._has_asked, images = True, len(self._dataset)
@@ -75,7 +77,7 @@ class PredictionsFile:
         disable = None if progress else True
         for i in tqdm(left, unit="image", total=images, initial=len(answered), disable=disable):
             self._kept.write(i, ask(i))
-        return self._kept
+        self.write(self._track.columns(self._kept))
 
     def write(self, columns: Mapping[str, Column]) -> None:
         """Write the file elsewhere, check all of it, put it in its place, and forget the answers.

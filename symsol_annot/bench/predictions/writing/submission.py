@@ -97,7 +97,7 @@ def write_hypotheses(
         def answer(i: int) -> Answer:
             return {"hypotheses": checked_hypotheses(ask(i), i)}
 
-        file.write(HYPOTHESES.columns(file.collect(answer, resume=resume, progress=progress)))
+        file.write_answers(answer, resume=resume, progress=progress)
 
 
 def write_classifier(
@@ -143,7 +143,7 @@ def write_classifier(
     _refuse_no_callable(classify, "classify", f"; {advice}")
     with held_predictions(path, dataset, CLASSIFIER, {"method": method, **attributes}, resume) as file:
         answer = _classifier_answers(classify, dataset, floor=floor, level=level, batch_size=batch_size)
-        file.write(CLASSIFIER.columns(file.collect(answer, resume=resume, progress=progress)))
+        file.write_answers(answer, resume=resume, progress=progress)
 
 
 def _classifier_answers(
@@ -213,7 +213,7 @@ def write_density(
     _refuse_no_callable(log_density, "log_density", remedy)
     with held_predictions(path, dataset, DENSITY, attributes, resume) as file:
         answer = _density_answers(log_density, floor=floor, level=level, batch_size=batch_size)
-        file.write(DENSITY.columns(file.collect(answer, resume=resume, progress=progress)))
+        file.write_answers(answer, resume=resume, progress=progress)
 
 
 def _density_answers(
