@@ -58,13 +58,15 @@ def count_with_moved_vertices(mesh, R, moves, size=SIZE):
     beside &= a * d < b * c  # counter-clockwise, v downwards: the others are culled
     triangles, is_marking = mesh.triangles[beside], mesh.is_marking[beside]
     u, v = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
-    seen = points[triangles, None] - np.stack([u.ravel(), v.ravel()], axis=-1)  # (T, 3, samples, 2)
-    after = np.roll(seen, -1, axis=1)
-    opposite = np.roll(seen[..., 1] * after[..., 0] - seen[..., 0] * after[..., 1], -1, axis=1)  # a corner's weight
-    drawn = (opposite > 0).all(axis=1)
-    weights = np.where(drawn[:, None], opposite, 1.0)
-    depths = (weights * closeness[triangles, None]).sum(axis=1) / weights.sum(axis=1)
-    depths = np.where(drawn, depths, -np.inf)
+    samples = np.stack([u.ravel(), v.ravel(), np.ones(u.size)])
+    corners = points[triangles]
+    after, last = np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1)
+    # A corner's weight at a sample: twice the area of the triangle that the sample makes with the opposite side.
+    constant = after[..., 1] * last[..., 0] - after[..., 0] * last[..., 1]
+    weights = np.stack([last[..., 1] - after[..., 1], after[..., 0] - last[..., 0], constant], axis=-1)
+    drawn = np.logical_and.reduce([weights[:, corner] @ samples > 0 for corner in range(3)])
+    depths = ((weights * closeness[triangles, None]).sum(axis=1) / weights.sum(axis=1)[:, 2:]) @ samples
+    depths[~drawn] = -np.inf
     return np.count_nonzero(is_marking[depths.argmax(axis=0)] & drawn.any(axis=0))
 
 
@@ -78,15 +80,15 @@ def test_all_built_in_bodies_are_convex_and_a_dented_one_is_not():
 
 
 @pytest.mark.parametrize("name", ["tetX", "cylO"])
-@pytest.mark.parametrize("enough", [1, 20, 10**9])
-def test_a_ray_casters_count_lies_between_the_bounds(name, enough):
+def test_a_ray_casters_count_lies_between_the_bounds(name):
     rotations = np.concatenate(
         [uniform_rotations(25, np.random.default_rng(0)), grazing(name, 25, seed=1, within_deg=6)]
     )
-    lower, upper = visibility(name).bounds(rotations, enough)
     counts = np.array([np.count_nonzero(cast_samples(name, R, SIZE) == 2) for R in rotations])
-    assert ((lower <= counts) & (counts <= upper)).all()
     assert len({*np.sign(counts)}) == 2  # both kinds of view were among them
+    for enough in (1, 20, 10**9):
+        lower, upper = visibility(name).bounds(rotations, enough)
+        assert ((lower <= counts) & (counts <= upper)).all()
 
 
 @pytest.mark.parametrize("name", ["tetX", "cylO"])
