@@ -157,6 +157,17 @@ def test_most_views_that_show_the_marking_are_decided_without_counting():
     assert np.mean(upper[lower > 0] == np.iinfo(np.int64).max) > 0.8
 
 
+def test_what_geometry_decides_is_not_drawn():
+    spec, decides = load_object("tetX"), visibility("tetX", 224)
+    for R in uniform_rotations(4, np.random.default_rng(6)):
+        areas = decides.areas(R @ spec.symmetry_group, spec.marking.tolerance_px)
+        assert not np.isnan(areas).any()
+        annotation = Annotator(spec, None, decides).annotate(R, 0.0)  # there is no renderer to ask
+        assert annotation.mask[spec.cosets[1:]].all(axis=1).tolist() == [
+            areas[coset].max() < spec.marking.tolerance_px for coset in spec.cosets[1:]
+        ]
+
+
 def test_sets_annotated_by_geometry_and_by_drawing_every_candidate_have_the_same_bytes(tmp_path):
     plan = make_plan("tetX", test=40)
     by_geometry = make_set(tmp_path / "a", "tetX", test=40)
