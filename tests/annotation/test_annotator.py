@@ -111,6 +111,29 @@ def test_a_set_is_a_union_of_cosets_whatever_one_pixel_does():
     assert not mask[spec.cosets[2]].any()
 
 
+@pytest.mark.parametrize(
+    ("areas_px", "coset_px"),
+    [
+        ((5.0, 9.0, 9.0), 5.0),
+        ((4.75, 4.5, 0.0), 4.75),
+        ((0.0, 4.75, 4.75), 0.0),
+        ((4.75, 6.0, 0.0), 6.0),
+        ((0.0, 4.75, 5.0), 5.0),
+    ],
+)
+def test_a_coset_shows_by_its_views_area_unless_only_another_rotation_reaches_the_tolerance(areas_px, coset_px):
+    spec = load_object("tetX")
+    R = rotations(1)[0]
+
+    def area(one):
+        (place,) = np.nonzero(spec.cosets[0] == nearest_element(spec.symmetry_group, R.T @ one))
+        return areas_px[place[0]] if len(place) else 0.0
+
+    annotator = Annotator(spec, PrescribedRenderer(area))
+    assert annotator.coset_px(R, areas_px[0]) == coset_px
+    assert (annotator.annotate(R, coset_px).candidate_px[spec.cosets[0]] == coset_px).all()
+
+
 def test_tetX_sets_have_3_6_or_9_members_as_often_as_its_solid_angles_say():
     spec = load_object("tetX")
     sizes, shown = [], 0

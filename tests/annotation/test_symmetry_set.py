@@ -71,15 +71,24 @@ def test_an_arc_is_as_far_as_its_members_or_nearer():
     np.testing.assert_array_equal(isolated.distance_to_arcs(R), isolated.distance(R))
 
 
-def test_members_along_arcs_go_round_each_circle_from_where_its_longest_gap_ends():
+@pytest.mark.parametrize(
+    ("steps", "in_order"),
+    [
+        ([0, 1, 5, 350, 359], [350, 359, 0, 1, 5]),  # about the z axis, in degrees
+        ([0, 1, 3], [0, 1, 3]),
+        ([0, 100, 110, 355], [355, 0, 100, 110]),
+    ],
+)
+def test_members_along_arcs_go_round_each_circle_from_where_its_longest_gap_ends(steps, in_order):
     group = GROUPS["cyl"]
     mask = np.zeros(len(group), dtype=bool)
-    mask[[0, 1, 5, 350, 359]] = True  # about the z axis: from -10 to 5 degrees
-    mask[[360, 540]] = True
+    mask[[*steps, 360, 540]] = True
     found = SymmetrySet(uniform_rotations(1, np.random.default_rng(0))[0], group, mask)
-    turns = [group[i] for i in (350, 359, 0, 1, 5)]
-    np.testing.assert_allclose(found.along_arcs[:5], found.R_gt @ turns, atol=1e-15)
+    np.testing.assert_allclose(found.along_arcs[: len(steps)], found.R_gt @ group[in_order], atol=1e-15)
     assert sorted(map(tuple, found.along_arcs.reshape(-1, 9))) == sorted(map(tuple, found.members.reshape(-1, 9)))
+
+
+def test_members_of_isolated_rotations_along_arcs_are_in_the_groups_order():
     isolated = make_set("icosa")
     np.testing.assert_array_equal(isolated.along_arcs, isolated.members)
 
@@ -169,6 +178,11 @@ def test_a_set_survives_pickling_and_copying():
     found = make_set("cyl")
     for other in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found), copy.copy(found)):
         np.testing.assert_array_equal(other.members, found.members)
+
+
+def test_a_set_says_how_many_rotations_or_cells_it_has():
+    assert repr(make_set(share=0.0)) == "<SymmetrySet: 1 rotations>"
+    assert repr(make_set(volume=np.arange(3))) == "<SymmetrySet: 3 cells of rotations>"
 
 
 def test_a_misspelt_name_is_an_error():

@@ -13,7 +13,17 @@ import symsol_source
 
 pytestmark = pytest.mark.blender
 
-COMMAND = (sys.executable, "-c", "from symsol_annot_cli.main import main; main()")
+COMMANDS = """\
+import sys
+from symsol_annot_cli.main import main
+for line in sys.argv[1:]:
+    sys.argv = ["symsol-annot", *line.split()]
+    try:
+        main()
+    except SystemExit as ended:
+        if ended.code:
+            raise
+"""
 RECIPE = """\
 title = "tiny"
 model = "hypotheses"
@@ -114,29 +124,33 @@ def user(tmp_path_factory):
     before = {folder: snapshot(folder) for folder in (temporary, work)}
     before[temporary] = {name: what for name, what in before[temporary].items() if left.name not in name}
 
-    def run(*words, code=0):
+    def run(*lines):
+        """Run commands one after another in one process, which has to import but once."""
         done = subprocess.run(
-            [*COMMAND, *words], cwd=work, env=environment, capture_output=True, text=True, check=False
+            [sys.executable, "-c", COMMANDS, *lines],
+            cwd=work,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
-        assert done.returncode == code, done.stderr
-        return done
+        assert done.returncode == 0, done.stderr
 
-    run("render", "--object", "tetX", "--train", "16", "--test", "16", "--size", "16", "--workers", "1")
+    (work / "tiny.toml").write_text(RECIPE)
+    symsol_source.write_zip(work / "symsol.zip", symsol_source.content(("tet",))[0])
+    run("render --object tetX --train 16 --test 16 --size 16 --workers 1", "import-symsol symsol.zip")
     shard = next((work / "data" / "tetX").glob("test-*.h5"))
     damaged = bytearray(shard.read_bytes())
     damaged[len(damaged) // 2] ^= 1
     shard.write_bytes(damaged)
-    run("verify", "data/tetX", "--repair")
-    run("reference", "data/tetX", "--row", "evenly-placed", "--row", "uniform")
-    for _ in range(2):
-        run("gallery", "data/tetX", "--redrawn", "0")
-        run("publish", "data/tetX", "--out", "bundle")
-    (work / "tiny.toml").write_text(RECIPE)
-    run("train", "tiny.toml", "--data", "data/tetX", "--device", "cpu")
-    run("predict", "runs/tetX-tiny", "--data", "data/tetX", "--device", "cpu")
-    run("score", "preds.h5", "--data", "data/tetX", "--json", "scores.json", "--per-image", "scores.csv")
-    symsol_source.write_zip(work / "symsol.zip", symsol_source.content(("tet",))[0])
-    run("import-symsol", "symsol.zip")
+    run(
+        "verify data/tetX --repair",
+        "reference data/tetX --row evenly-placed --row uniform",
+        *["gallery data/tetX --redrawn 0", "publish data/tetX --out bundle"] * 2,
+        "train tiny.toml --data data/tetX --device cpu",
+        "predict runs/tetX-tiny --data data/tetX --device cpu",
+        "score preds.h5 --data data/tetX --json scores.json --per-image scores.csv",
+    )
     return before, {folder: snapshot(folder) for folder in (temporary, work)}
 
 

@@ -114,8 +114,9 @@ def test_precision_is_1_where_nothing_is_predicted_and_recall_and_f_measure_are_
     assert (metrics.precision(tp, fp), metrics.recall(tp, 7), metrics.f_measure(tp, fp, 7)) == (1.0, 0.0, 0.0)
 
 
-def test_false_positives_alone_have_precision_and_f_measure_0():
-    tp, fp = as_counts(0), as_counts(9)
+@pytest.mark.parametrize("false_positives", [1, 9])
+def test_false_positives_alone_have_precision_and_f_measure_0(false_positives):
+    tp, fp = as_counts(0), as_counts(false_positives)
     assert (metrics.precision(tp, fp), metrics.f_measure(tp, fp, 7)) == (0.0, 0.0)
 
 
