@@ -21,6 +21,7 @@ from symsol_annot.sets.plan import SetPlan
 
 EDGE_PIXELS = 8  # how many pixels two drawings of one view may differ in: vertices round to other sub-pixels
 RGB_LEVELS = 12  # how far a pixel must be off to count; a lattice point is worth a 16th to a quarter of the contrast
+DEPTH_RADII = 0.02  # how far a depth must be off to count, in bounding-sphere radii; what an edge decides, by far more
 CANDIDATES_PER_IMAGE = 24
 NEAR_RAD = np.radians(15.0)  # so far a candidate may be that draws a marking of a pixel or two the same
 _POINTS_PER_PIXEL = 4  # of the lattice; each of a marking below the tolerance can colour a pixel
@@ -87,7 +88,7 @@ def _audit_image(sample: Sample, drawer: "_Drawer", rng: np.random.Generator, re
     """Draw one image and some of its candidates again, and add what was seen to the report."""
     if sample.segmentation is None or sample.marking_visible is None:
         raise DataError("an imported set cannot be audited: how its images were drawn is not known")
-    stored = drawer.drawing(sample.image, sample.segmentation, sample.marking_pixels)
+    stored = drawer.drawing(sample.image, sample.segmentation, sample.depth, sample.marking_pixels)
     found = _faults_of_member(stored, drawer.draw(sample.rotation))
     report.faults += [f"image {sample.index}, drawn again at its own rotation: {what}" for what in found]
     symmetry_set = sample.symmetry_set
@@ -114,6 +115,7 @@ class _Drawing:
     Attributes:
         rgb: (H, W, 3) u8.
         segmentation: (H, W) u8.
+        depth: (H, W) f4; None where the set has none.
         trace: (H, W) bool, where the RGB carries the marking's colour.
         coset_px: the marking's area in pixels, by the rule.
         shows: whether that counts as shown.
@@ -121,6 +123,7 @@ class _Drawing:
 
     rgb: npt.NDArray[np.uint8]
     segmentation: npt.NDArray[np.uint8]
+    depth: npt.NDArray[np.float32] | None
     trace: npt.NDArray[np.bool_]
     coset_px: float
     shows: bool
@@ -143,12 +146,19 @@ class _Drawer:
     def draw(self, R_m2c: Rotations) -> _Drawing:
         """Return the drawing of one rotation (3, 3)."""
         view = self.annotator.renderer.render(R_m2c)
-        return self.drawing(view.rgb, view.segmentation, self.annotator.coset_px(R_m2c, view.marking_pixels))
+        coset_px = self.annotator.coset_px(R_m2c, view.marking_pixels)
+        return self.drawing(view.rgb, view.segmentation, view.depth, coset_px)
 
-    def drawing(self, rgb: npt.NDArray[np.uint8], segmentation: npt.NDArray[np.uint8], coset_px: float) -> _Drawing:
+    def drawing(
+        self,
+        rgb: npt.NDArray[np.uint8],
+        segmentation: npt.NDArray[np.uint8],
+        depth: npt.NDArray[np.float32] | None,
+        coset_px: float,
+    ) -> _Drawing:
         """Return what pictures and an area say by the set's rule and colours."""
         shows = bool(self.annotator.is_shown(coset_px))
-        return _Drawing(rgb, segmentation, self.marking_trace.of(rgb), coset_px, shows)
+        return _Drawing(rgb, segmentation, depth, self.marking_trace.of(rgb), coset_px, shows)
 
 
 def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
@@ -168,6 +178,8 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
         "segmentation": int(np.count_nonzero(stored.segmentation != drawn.segmentation)),
         "RGB": int(np.count_nonzero(rgb)),
     }
+    if stored.depth is not None and drawn.depth is not None:
+        differing["depth"] = int(np.count_nonzero(np.abs(stored.depth - drawn.depth) > DEPTH_RADII))
     faults += [
         f"{count} pixels of the {name} differ, at most {allowed} may"
         for name, count in differing.items()

@@ -36,6 +36,16 @@ def audit_of(dataset, count=12):
     return audit(dataset, make_plan("tetX"), NumpyRenderer("tetX", SIZE), count, np.random.default_rng(0))
 
 
+def test_depths_that_are_of_another_rotation_are_found(tmp_path):
+    plan = make_plan("tetX", test=6, depth=True)
+    renderer = NumpyRenderer("tetX", SIZE, has_depth=True)
+    images = load(make_set(tmp_path, "tetX", test=6, depth=True))
+    assert audit(images, plan, renderer, 6, np.random.default_rng(0)).faults == []
+    farther = ChangedDataset(images, lambda s: dataclasses.replace(s, depth=np.where(s.depth > 0, s.depth + 0.1, 0)))
+    faults = audit(farther, plan, renderer, 2, np.random.default_rng(0)).faults
+    assert any("pixels of the depth differ" in fault for fault in faults)
+
+
 def with_mask(sample, change):
     mask = sample.symmetry_mask.copy()
     change(mask)
