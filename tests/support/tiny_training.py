@@ -53,7 +53,6 @@ CLASSIFIER = ClassifierRecipe(
     **_COMMON,
     negatives=16,
     frozen_epochs=2,
-    evaluation_level=0,
 )
 MIXTURE = MixtureRecipe(**_COMMON, structure="free", components=3, members=4)
 RECIPES: dict[str, Recipe] = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER, "mixture": MIXTURE}

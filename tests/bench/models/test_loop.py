@@ -238,3 +238,38 @@ def test_what_no_checkpoint_can_hold_is_refused_before_training(options, name, s
     with pytest.raises(SettingsError, match=said):
         train(HYPOTHESES, images, tmp_path / "run", replace(CPU, **options), name=name)
     assert not (tmp_path / "run").exists()
+
+
+def test_an_input_that_its_images_have_not_is_refused_before_training(images, tmp_path):
+    with pytest.raises(SettingsError, match=r"images have 16 pixels a side, and the recipe's input_size is 32: render"):
+        train(replace(HYPOTHESES, input_size=32), images, tmp_path / "run", CPU)
+    assert not (tmp_path / "run").exists()
+
+
+def test_bfloat16_is_refused_where_it_is_slow_or_wrong(images, tmp_path, monkeypatch):
+    wanted = replace(HYPOTHESES, precision="bfloat16")
+    monkeypatch.setattr(loop, "has_bfloat16", lambda _: False)
+    with pytest.raises(SettingsError, match="precision: the recipe asks for bfloat16, which .* does not compute in"):
+        train(wanted, images, tmp_path / "run", CPU)
+    monkeypatch.setattr(loop, "has_bfloat16", lambda _: True)
+    with pytest.raises(SettingsError, match="bfloat16 takes images of 17 pixels or more, these have 16; take float32"):
+        train(wanted, images, tmp_path / "run", CPU)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_cosine_rises_then_falls_and_a_gradient_is_clipped(images, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "plot_curve", lambda *_: None)
+    norms, clip = [], torch.nn.utils.clip_grad_norm_
+
+    def watched(parameters, longest):
+        parameters = list(parameters)
+        clip(parameters, longest)
+        norms.append(float(torch.stack([one.grad.norm() for one in parameters if one.grad is not None]).norm()))
+
+    monkeypatch.setattr(torch.nn.utils, "clip_grad_norm_", watched)
+    schedule = {"schedule": "cosine", "warm_up": 1.0, "learning_rates": (1e-3,), "milestones": ()}
+    recipe = replace(HYPOTHESES, **schedule, clip_norm=1e-3, rolls=True, input_size=8)
+    rates = [row["learning_rate"] for row in train(recipe, images, tmp_path / "run", CPU).rows]
+    assert rates[0] == pytest.approx(1e-3 * 0.5 * (0.5 * (1 + np.cos(np.pi / 8)) + 0.002), rel=1e-3)  # half warmed up
+    assert rates[1] > rates[2] > rates[3] > 0
+    assert max(norms) <= 1.001e-3

@@ -236,6 +236,13 @@ def test_a_name_that_is_none_is_refused_with_those_that_are():
     ("keys", "said"),
     [
         ({"learning_rate": 1}, "learning_rate: is no key of a hypotheses recipe; keys are title, epochs, batch_size"),
+        ({"input_size": 4}, "input_size: expected 0, or 8 to 4096, found 4"),
+        ({"input_size": 16, "precision": '"bfloat16"'}, "precision: bfloat16 takes an input of 17 pixels or more"),
+        ({"precision": '"half"'}, "precision: expected one of auto, bfloat16, float32, found 'half'"),
+        ({"schedule": '"cosine"'}, "milestones: a cosine has none, found"),
+        ({"warm_up": 1e3}, "warm_up: expected 0.0 to"),
+        ({"clip_norm": -1.0}, "clip_norm: expected 0.0 to"),
+        ({"rolls": 1}, "rolls: expected true or false, found 1"),
         ({"negatives": 8}, "negatives: is no key of a hypotheses recipe"),
         ({"batch_size": None}, "batch_size: is missing"),
         ({"model": '"mlp"'}, "model: expected hypotheses or classifier or mixture, found 'mlp'"),

@@ -71,6 +71,14 @@ class RotationClassifier(ReferenceModel):
             )
         return single_or_double(self.second_stage(embeddings, positional_encoding(R.flatten(-2), self.frequencies)))
 
+    def shares(self, R: Tensor) -> Tensor:
+        """Return what rotations (Q, 3, 3) bring to the second stage's first layer (Q, 256), for all images the same."""
+        return self.second_stage.share_of_rotations(positional_encoding(R.flatten(-2), self.frequencies))
+
+    def logits_from_shares(self, embedding: Tensor, shares: Tensor) -> Tensor:
+        """Return the logits (Q,) of one embedded image (E,) at rotations with such shares (Q, 256)."""
+        return single_or_double(self.second_stage.from_shares(embedding[None], shares)[0])
+
 
 class _SecondStage(nn.Module):
     """From an embedding side by side with an encoded rotation to a logit: two hidden layers with ReLU."""
@@ -84,9 +92,15 @@ class _SecondStage(nn.Module):
     def forward(self, embeddings: Tensor, encoded: Tensor) -> Tensor:
         # A layer on values side by side is the sum of a layer on each: an embedding's share is worked out once per
         # image, and that of rotations which the images have in common once for all of them.
-        of_embedding, of_rotation = self.entry.weight.tensor_split([EMBEDDING_SIZE], dim=1)
-        shares = functional.linear(embeddings, of_embedding, self.entry.bias)[:, None]
-        x = functional.relu(shares + functional.linear(encoded.to(of_rotation.dtype), of_rotation))
+        return self.from_shares(embeddings, self.share_of_rotations(encoded))
+
+    def share_of_rotations(self, encoded: Tensor) -> Tensor:
+        of_rotation = self.entry.weight[:, EMBEDDING_SIZE:]
+        return functional.linear(encoded.to(of_rotation.dtype), of_rotation)
+
+    def from_shares(self, embeddings: Tensor, of_rotations: Tensor) -> Tensor:
+        of_embedding = self.entry.weight[:, :EMBEDDING_SIZE]
+        x = functional.relu(functional.linear(embeddings, of_embedding, self.entry.bias)[:, None] + of_rotations)
         logits: Tensor = self.logit(functional.relu(self.hidden(x)))
         return logits.squeeze(-1)
 

@@ -1,6 +1,8 @@
 """A classifier of rotations: how it learns from right and wrong ones, and how it is asked for predictions."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -8,24 +10,29 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.devices import backbone_precision
 from symsol_annot.bench.models.loss_tables import CLASSIFICATION
-from symsol_annot.bench.models.methods.classifier.negatives import hard_negatives, random_rotations
+from symsol_annot.bench.models.methods.classifier.negatives import hard_negatives, near_negatives, random_rotations
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
 from symsol_annot.bench.models.methods.method import Asked
-from symsol_annot.bench.models.networks.answers import embeddings_of, probabilities
+from symsol_annot.bench.models.networks.answers import embeddings_of, logits_at
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.validation import Figures, classifier_figures
 from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
 from symsol_annot.bench.predictions.writing.submission import write_classifier
-from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_size
+from symsol_annot.rotations.grid import STANDARD_LEVEL, GridIndex, equivolumetric_grid, grid_size
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset, Labels
 
 _EVALUATED_AT_ONCE = 64  # images
+_CLAIM_LOGIT = float(np.log(STANDARD_THRESHOLD / (1.0 - STANDARD_THRESHOLD)))
+_SHIFTS = np.linspace(-8.0, 8.0, 65)
+_SHARES_AT_ONCE = 2**15  # rotations
+_NEAR_RAD, _NEAR_CIRCLE_RAD, _FAR_SAMPLE = np.radians(15.0), np.radians(6.0), 8192
 
 
 class ClassifierLearner:
@@ -36,46 +43,99 @@ class ClassifierLearner:
         self._symmetry_group = torch.tensor(symmetry_group, dtype=torch.float32, device=model.device)
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
-        """Return the losses (B,) of eq. 6.15, K new rotations per image."""
+        """Return the losses (B,) of eq. 6.15, K new rotations per image; of several members it takes the mean."""
         with backbone_precision(batch.images, self.recipe.precision):
             embeddings = self.model.first_stage(batch.images)
-        asked = torch.cat([batch.R_gt[:, None], self._negatives(batch, rng)], dim=1)
-        logits = self.model.logits(embeddings.float(), asked)
-        return CLASSIFICATION.function(logits[:, 0], logits[:, 1:])
+        right = self._right(batch, rng)
+        wrong, weights = self._wrong(batch, rng)
+        logits = self.model.logits(embeddings.float(), torch.cat([right, wrong], dim=1))
+        at_right, at_wrong = logits[:, : right.shape[1]], logits[:, right.shape[1] :]
+        if right.shape[1] == 1 and weights is None:
+            return CLASSIFICATION.function(at_right[:, 0], at_wrong)
+        of_wrong = functional.softplus(at_wrong)
+        return functional.softplus(-at_right).mean(1) + (of_wrong if weights is None else weights * of_wrong).sum(1)
 
-    def _negatives(self, batch: Batch, rng: torch.Generator) -> Tensor:
-        """Return K rotations per image (B, K, 3, 3), of which the recipe says how many are rejected candidates."""
-        hard = self.recipe.hard_negatives
-        negatives = random_rotations((len(batch.images), self.recipe.negatives - hard), rng)
+    def _right(self, batch: Batch, rng: torch.Generator) -> Tensor:
+        """Return rotations (B, P, 3, 3) of the images' sets: R_gt, or members drawn anew."""
+        if batch.is_member is None:
+            return batch.R_gt[:, None]
+        chosen = torch.multinomial(batch.is_member.float(), self.recipe.members, replacement=True, generator=rng)
+        return batch.R_gt[:, None] @ self._symmetry_group[chosen]
+
+    def _wrong(self, batch: Batch, rng: torch.Generator) -> tuple[Tensor, Tensor | None]:
+        """Return K rotations per image (B, K, 3, 3), and what each weighs (B, K); None where all weigh 1."""
+        recipe, images = self.recipe, len(batch.images)
+        negatives = random_rotations((images, recipe.negatives - recipe.hard_negatives - recipe.near_negatives), rng)
+        weights = None
+        if recipe.near_negatives:
+            group, near = self._symmetry_group, recipe.near_negatives
+            negatives, weights = near_negatives(batch.R_gt, group, negatives, near, rng)
         if batch.is_rejected is None:
-            return negatives
-        rejected = hard_negatives(batch.R_gt, batch.is_rejected, self._symmetry_group, hard, rng)
-        return torch.cat([negatives, rejected], dim=1)
+            return negatives, weights
+        rejected = hard_negatives(batch.R_gt, batch.is_rejected, self._symmetry_group, recipe.hard_negatives, rng)
+        if recipe.hard_weight:
+            before = negatives.new_ones(negatives.shape[:2]) if weights is None else weights
+            each = recipe.hard_weight / recipe.hard_negatives
+            weights = torch.cat([before, before.new_full((images, recipe.hard_negatives), each)], dim=1)
+        elif weights is not None:
+            weights = torch.cat([weights, weights.new_ones((images, recipe.hard_negatives))], dim=1)
+        return torch.cat([negatives, rejected], dim=1), weights
 
-    @torch.no_grad()
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
         """Return the means of recall, precision and F-measure at 0.8 (section 7.2) over images (N, H, W, 3), uint8.
 
-        False positives are counted on the grid of the recipe's level; of a coarser one than level 4 each stands for
-        as many rotations of level 4 as there are to one of its own, a rough estimate of what `score` counts.
+        False positives are counted on the grid of level 4: all that are near a candidate, and a sample of the others.
         """
-        level = self.recipe.evaluation_level
-        scale = 8 ** max(0, STANDARD_LEVEL - level)
-        grid = torch.from_numpy(equivolumetric_grid(level)).float().to(self.model.device)
-        counts = []
+        return classifier_figures(logits.counts(0.0) for logits in self._validation_logits(images, labels))
+
+    def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:
+        """Return what is added to the logits for the highest F-measure of images (N, H, W, 3), uint8, and that F."""
+        if not self.recipe.fitted_shift:
+            return {}
+        every = list(self._validation_logits(images, labels))
+        found = {float(shift): classifier_figures(one.counts(shift) for one in every) for shift in _SHIFTS}
+        best = max(found, key=lambda shift: found[shift]["f_measure"])
+        return {"logit_shift": best, "f_measure": found[best]["f_measure"]}
+
+    @torch.no_grad()
+    def _validation_logits(self, images: Tensor, labels: Labels) -> Iterator["_ValidationLogits"]:
+        """Give the logits of each image at its members, and on the grid."""
+        grid, device = _grid_index(), self.model.device
+        radius = _NEAR_RAD if labels.circles is None else _NEAR_CIRCLE_RAD
+        sample = np.random.default_rng(0).choice(len(grid), _FAR_SAMPLE, replace=False)
+        shares = self.model.shares(torch.from_numpy(grid.rotations[sample]).float().to(device))
         for i, embedding in enumerate(embeddings_of(self.model, images, _EVALUATED_AT_ONCE)):
-            members = torch.from_numpy(labels.members(i)).float().to(self.model.device)
-            false_positives = self._positives(embedding, grid) * scale
-            counts.append((self._positives(embedding, members), false_positives, len(members)))
-        return classifier_figures(counts)
+            near = grid.within(labels.candidates(i), radius)
+            is_far = torch.from_numpy(~np.isin(sample, near)).to(device)
+            asked = (torch.from_numpy(R).float().to(device) for R in (labels.members(i), grid.rotations[near]))
+            at_members, on_near = (logits_at(self.model, embedding, self.model.shares(R)) for R in asked)
+            on_far = logits_at(self.model, embedding, shares)[is_far]
+            yield _ValidationLogits(at_members, on_near, on_far, (len(grid) - len(near)) / max(1, len(on_far)))
 
-    def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:  # noqa: ARG002
-        """Return nothing."""
-        return {}
 
-    def _positives(self, embedding: Tensor, R: Tensor) -> int:
-        """Return of how many rotations (Q, 3, 3) the model says that they are in the set of an embedded image (E,)."""
-        return int((probabilities(self.model, embedding, R) > STANDARD_THRESHOLD).sum())
+@dataclass(frozen=True, eq=False)
+class _ValidationLogits:
+    """One image's logits: at its members, on all grid rotations near a candidate, and on a sample of the others.
+
+    Attributes:
+        members, near, far: (k,) each.
+        far_weight: how many rotations of the grid each of the sample stands for.
+    """
+
+    members: Tensor
+    near: Tensor
+    far: Tensor
+    far_weight: float
+
+    def counts(self, shift: float) -> tuple[int, int, int]:
+        """Return true positives, false positives on the whole grid, and members, with something added to the logits."""
+        true, near, far = (int((part + shift > _CLAIM_LOGIT).sum()) for part in (self.members, self.near, self.far))
+        return true, near + round(far * self.far_weight), len(self.members)
+
+
+@lru_cache(maxsize=1)
+def _grid_index() -> GridIndex:
+    return GridIndex(STANDARD_LEVEL)
 
 
 class ClassifierMethod:
@@ -84,9 +144,12 @@ class ClassifierMethod:
     def new_model(self, recipe: ClassifierRecipe, pretrained: str | None, rng: torch.Generator) -> RotationClassifier:
         """Return a recipe's classifier."""
         backbone = BACKBONES[recipe.backbone]
-        return RotationClassifier(
+        model = RotationClassifier(
             recipe.frequencies, pretrained=pretrained, rng=rng, backbone=backbone, input_size=recipe.input_size
         )
+        if recipe.bias_from_negatives:
+            torch.nn.init.constant_(model.second_stage.logit.bias, -math.log(recipe.negatives))
+        return model
 
     def learner(
         self, recipe: ClassifierRecipe, model: RotationClassifier, symmetry_group: Rotations
@@ -103,23 +166,38 @@ class ClassifierMethod:
         asked: Asked,
     ) -> None:
         """Write the probabilities of queries and grid rotations for a split's images."""
-        classify, size = _probabilities_by_index(model, dataset), grid_size(asked.level)
+        shift, size = asked.calibration.get("logit_shift", 0.0), grid_size(asked.level)
+        classify = _probabilities_by_index(model, dataset, asked.level, shift)
         by, level, resume = asked.method, asked.level, asked.resume
         write_classifier(path, dataset, classify, method=by, level=level, batch_size=size, resume=resume)
 
 
 def _probabilities_by_index(
-    model: RotationClassifier, dataset: Dataset
+    model: RotationClassifier, dataset: Dataset, level: int, shift: float
 ) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
-    """Return a callable from an image's index and rotations (n, 3, 3) to probabilities (n,)."""
+    """Return a callable from an image's index and rotations (n, 3, 3) to probabilities (n,).
+
+    What the grid's rotations bring to the second stage is worked out once for all images.
+    """
 
     @lru_cache(maxsize=1)
     def embedding_of(i: int) -> Tensor:
         return embeddings_of(model, torch.from_numpy(dataset[i].image)[None], 1)[0]
 
+    @torch.no_grad()
+    def shares_of(R: Rotations) -> Tensor:
+        parts = torch.split(torch.from_numpy(R.astype(np.float32)).to(model.device), _SHARES_AT_ONCE)
+        return torch.cat([model.shares(part) for part in parts])
+
+    grid = equivolumetric_grid(level)
+
+    @lru_cache(maxsize=1)
+    def shares_of_grid() -> Tensor:
+        return shares_of(grid)
+
     def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
-        on_device = torch.from_numpy(R.astype(np.float32)).to(model.device)
-        answers: npt.NDArray[np.float32] = probabilities(model, embedding_of(i), on_device).cpu().numpy()
+        shares = shares_of_grid() if np.array_equal(R, grid) else shares_of(R)
+        answers: npt.NDArray[np.float32] = (logits_at(model, embedding_of(i), shares) + shift).sigmoid().cpu().numpy()
         return answers
 
     return classify

@@ -1,15 +1,14 @@
 """The recipe of a classifier of rotations."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from symsol_annot.bench.models.networks.backbones import BACKBONES, RESNET18
-from symsol_annot.bench.models.recipe_keys import TrainingKeys, backbone_key, faults_of_start, outside
-from symsol_annot.bench.predictions.format import MAX_GRID_LEVEL
+from symsol_annot.bench.models.recipe_keys import LEFT_OUT, TrainingKeys, backbone_key, faults_of_start, outside
 from symsol_annot.system.text.tables import OneOf
 
-_MAX_NEGATIVES, _MAX_FREQUENCIES = 2**20, 16
+_MAX_NEGATIVES, _MAX_MEMBERS, _MAX_FREQUENCIES = 2**20, 4096, 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +22,12 @@ class ClassifierRecipe(TrainingKeys):
         frozen_epochs: for how many epochs the first stage stays as it began.
         start: of the first stage: that of the hypothesis network with the lowest error in recall or in precision, or
             a backbone alone.
-        evaluation_level: of the grid on which the validation images are asked.
+        members: how many members of an image's set a step learns as right, drawn anew; 1 is the rotation that it was
+            drawn at, as in the thesis.
+        near_negatives: how many of the K are drawn near candidates, and weighted so that they stand for uniform ones.
+        hard_weight: what all hard negatives weigh together; 0 lets each weigh as much as another negative.
+        fitted_shift: whether a number is added to the logits with which the validation images have the highest F.
+        bias_from_negatives: whether the logit begins at -ln K, which is right of uniform rotations, in place of 0.
         backbone: of the first stage, by its name.
     """
 
@@ -32,8 +36,17 @@ class ClassifierRecipe(TrainingKeys):
     frequencies: int = 3
     frozen_epochs: int = 4
     start: Literal["imagenet", "random", "best-recall", "best-precision"] = "best-recall"
-    evaluation_level: int = 4
+    members: int = field(default=1, metadata={LEFT_OUT: True})
+    near_negatives: int = field(default=0, metadata={LEFT_OUT: True})
+    hard_weight: float = field(default=0.0, metadata={LEFT_OUT: True})
+    fitted_shift: bool = field(default=False, metadata={LEFT_OUT: True})
+    bias_from_negatives: bool = field(default=False, metadata={LEFT_OUT: True})
     backbone: Annotated[str, OneOf(BACKBONES)] = backbone_key(RESNET18)
+
+    @property
+    def needs_members(self) -> bool:
+        """Whether batches have to say which candidates are members of their images' sets."""
+        return self.members > 1
 
     @property
     def needs_rejected_candidates(self) -> bool:
@@ -57,6 +70,10 @@ class ClassifierRecipe(TrainingKeys):
             hard_negatives=(0, self.negatives),
             frequencies=(0, _MAX_FREQUENCIES),
             frozen_epochs=(0, self.epochs - 1),
-            evaluation_level=(0, MAX_GRID_LEVEL),
+            members=(1, _MAX_MEMBERS),
+            near_negatives=(0, self.negatives - self.hard_negatives),
+            hard_weight=(0.0, 1e6),
         )
+        if self.fitted_shift and not self.validation_images:
+            yield "fitted_shift: is fitted on validation images, and validation_images is 0"
         yield from faults_of_start(self.start, BACKBONES[self.backbone])

@@ -59,7 +59,7 @@ class MixtureMethod:
         grid, by, resume = grid_of(asked.level), asked.method, asked.resume
 
         def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
-            if len(R) != len(grid):
+            if not np.array_equal(R, grid.index.rotations):
                 logits = density(i).log_claim(torch.from_numpy(R).float())
             else:
                 logits = torch.full((len(grid),), _LEAST_CLAIM)
