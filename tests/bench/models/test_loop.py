@@ -249,7 +249,7 @@ def test_an_input_that_its_images_have_not_is_refused_before_training(images, tm
 def test_bfloat16_is_refused_where_it_is_slow_or_wrong(images, tmp_path, monkeypatch):
     wanted = replace(HYPOTHESES, precision="bfloat16")
     monkeypatch.setattr(loop, "has_bfloat16", lambda _: False)
-    with pytest.raises(SettingsError, match="precision: the recipe asks for bfloat16, which .* does not compute in"):
+    with pytest.raises(SettingsError, match=r"precision: the recipe asks for bfloat16, which .* does not compute in"):
         train(wanted, images, tmp_path / "run", CPU)
     monkeypatch.setattr(loop, "has_bfloat16", lambda _: True)
     with pytest.raises(SettingsError, match="bfloat16 takes images of 17 pixels or more, these have 16; take float32"):
