@@ -61,7 +61,7 @@ def main():
 def one_start(number, seed):
     """Start Blender, draw with it, end it, and say what it was and how it ended."""
     chance = random.Random(f"{seed} {number}")
-    engine = chance.choice(("workbench", "cycles"))
+    engine = chance.choice(("opengl", "workbench", "cycles"))
     name = chance.choice(builtin_names())
     size = chance.choice(SIZES_CYCLES if engine == "cycles" else SIZES)
     outcome = {"number": number, "object": name, "engine": engine, "size": size, "checked": number % 2 == 1}
