@@ -13,15 +13,14 @@ from types import SimpleNamespace
 import markdown
 import numpy as np
 import pytest
-from bench_sets import small_set
 from click.testing import CliRunner
+from made_boards import FILES, IMAGES, ROOT, change_of, edited, page_of, tables_of
 from mkdocs.config import load_config
 from scipy.spatial.transform import Rotation
 from symsol_annot_cli.leaderboard import leaderboard
 
-from symsol_annot.bench.leaderboard.page import to_markdown
 from symsol_annot.bench.leaderboard.results import read_leaderboard
-from symsol_annot.bench.predictions.writing.submission import write_classifier, write_hypotheses
+from symsol_annot.bench.predictions.writing.submission import write_hypotheses
 from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.metric import Place
 from symsol_annot.bench.scoring.reference import score_row
@@ -30,73 +29,7 @@ from symsol_annot.bench.scoring.scores_file import figures_that_differ
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import ScoresError
 
-ROOT = Path(__file__).resolve().parents[3]
-FILES = ROOT / "docs" / "results" / "leaderboard"
-IMAGES = 24
 NOTES = 'a "quote", a \\ and an é,\non two lines'
-
-
-@pytest.fixture(scope="module")
-def images(tmp_path_factory):
-    return small_set(tmp_path_factory.mktemp("sets"), "tetX", IMAGES)
-
-
-@pytest.fixture(scope="module")
-def original(images, tmp_path_factory):
-    """A folder with one set and two results on it, the second with larger errors and a classifier's track as well."""
-    folder = tmp_path_factory.mktemp("board")
-    shutil.copy(FILES / "thesis.toml", folder)
-    place = folder / "tiny"
-    place.mkdir()
-    (place / "set.toml").write_text(
-        f'title = "Tiny"\nsplit = "test"\nimages = {IMAGES}\ncommands = ["symsol-annot render --object tetX"]\n'
-        f'[fingerprints]\ntetX = "{images.fingerprint}"\n'
-    )
-    for name, error_rad in {"near": 0.01, "far": 0.3}.items():
-        path = folder / f"{name}.h5"
-        turn = Rotation.from_rotvec([error_rad, 0, 0]).as_matrix()
-        write_hypotheses(path, images, (images.labels().rotation @ turn)[:, None], method=name)
-        if name == "far":
-            write_classifier(path, images, lambda _, R: 0.9 * (R[:, 0, 0] > 0.5), method=name, level=4, progress=False)
-        scores = score_file(path, images.folder)
-        (place / f"{name}.json").write_text(report.to_json(report.to_document([scores])))
-        path.unlink()
-        (place / f"{name}.toml").write_text(
-            f'title = "The {name} one"\nby = "a lab"\ndate = 2026-01-02\nhardware = "an abacus"\n'
-            f'commands = ["./{name}.sh"]\nrecipe = "{"ewta-von-mises" if name == "near" else "small-wta"}"\n'
-            "[objects.tetX]\nseed = 7\nminutes = 3.25\n"
-        )
-    return folder
-
-
-@pytest.fixture
-def folder(original, tmp_path):
-    return Path(shutil.copytree(original, tmp_path / "board"))
-
-
-def page_of(folder):
-    return to_markdown(read_leaderboard(folder), str(folder), "files", "page.md")
-
-
-def tables_of(page):
-    """Title of each heading to the rows below it, cells stripped."""
-    tables = {}
-    for part in re.split(r"^#+ ", page, flags=re.MULTILINE)[1:]:
-        rows = [
-            [cell.strip() for cell in line.strip("|").split(" | ")] for line in part.splitlines() if line[:1] == "|"
-        ]
-        tables[part.splitlines()[0]] = rows
-    return tables
-
-
-def edited(path, *keys, value):
-    """Change one value of a JSON file."""
-    document = json.loads(path.read_text())
-    table = document
-    for key in keys[:-1]:
-        table = table[key]
-    table[keys[-1]] = value
-    path.write_text(json.dumps(document))
 
 
 def test_the_page_of_the_repository_is_what_its_files_give(monkeypatch):
@@ -107,11 +40,34 @@ def test_the_page_of_the_repository_is_what_its_files_give(monkeypatch):
 
 def test_rows_hold_the_figures_of_the_scores_the_best_first(folder):
     rows = tables_of(page_of(folder))["tetX, hypotheses"]
-    assert [row[0] for row in rows[2:]] == ["The near one", "The far one"]
+    assert [row[0] for row in rows[2:]] == [
+        "1. [The near one](#tinynear)<br>a lab",
+        "2. [The far one](#tinyfar)<br>a lab",
+    ]
+    for row, name in zip(rows[2:], ("near", "far"), strict=True):
+        scores = json.loads((folder / "tiny" / f"{name}.json").read_text())["objects"]["tetX"]["hypotheses"]["all"]
+        f, accuracy = (scores[f"{what}_at_5_deg"] for what in ("f_measure", "accuracy"))
+        value = f"**{f['value']:.3f}**" if name == "near" else f"{f['value']:.3f}"
+        interval = f"{value}<br>[{f['low']:.3f},&nbsp;{f['high']:.3f}]"
+        assert row[rows[0].index("F-measure at 5 deg ↑")] == interval
+        assert row[rows[0].index("accuracy at 5 deg ↑")] == f"{accuracy['value']:.3f}"
+
+
+def test_figures_that_the_tables_leave_out_stand_with_how_a_result_was_made(folder):
+    page = page_of(folder)
+    rows = tables_of(page)["tiny/far"]
     scores = json.loads((folder / "tiny" / "far.json").read_text())["objects"]["tetX"]["hypotheses"]["all"]
-    column = rows[0].index("precision mean error, rad (5.9) ↓")
-    assert rows[3][column].startswith(f"{scores['precision_mean_error_rad']['value']:.4f} [")
-    assert rows[3][-1] == "[far](files/tiny/far.json)"
+    head = next(row for row in rows if row[0] == "hypotheses")
+    column, row = head.index("precision mean error, rad (5.9) ↓"), rows[rows.index(head) + 2]
+    assert row[column].startswith(f"{scores['precision_mean_error_rad']['value']:.4f} [")
+    assert "[far.json](files/tiny/far.json)" in page
+    assert "[far.toml](files/tiny/far.toml)" in page
+
+
+def test_no_table_of_ranks_has_more_than_six_columns(folder):
+    for title, rows in tables_of(page_of(folder)).items():
+        if title.startswith("tetX, "):
+            assert len(rows[0]) <= 6
 
 
 def test_each_row_of_hypotheses_has_its_M(folder):
@@ -126,7 +82,8 @@ def test_nobody_ranks_first_by_listing_everything(folder, images, tmp_path):
         (folder / "tiny" / f"far.{ending}").unlink()
     rng = np.random.default_rng(0)
     noise = Rotation.random(len(labels) * 400, random_state=rng).as_matrix().reshape(len(labels), 400, 3, 3)
-    everything = np.concatenate([labels.rotation[:, None] @ labels.symmetry_group, noise], axis=1)
+    blurred = Rotation.from_rotvec([0.005, 0, 0]).as_matrix()  # as exact as the labels it would have no rank
+    everything = np.concatenate([labels.rotation[:, None] @ labels.symmetry_group @ blurred, noise], axis=1)
     weights = np.full(everything.shape[:2], 1e-30)
     weights[:, 0] = 1.0  # the first is right; the others hardly count for precision, but fully for recall
     for name, given in {"listed": None, "weighted": weights}.items():
@@ -138,10 +95,11 @@ def test_nobody_ranks_first_by_listing_everything(folder, images, tmp_path):
         (folder / "tiny" / f"{name}.toml").write_text(toml)
     page = page_of(folder)
     rows = tables_of(page)["tetX, hypotheses"]
-    assert rows[2][0] == "The near one"
-    assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "412", "412"]
-    assert [row[rows[0].index("recall mean error, rad (5.7) ↓")][:6] for row in rows[3:]] == ["0.0000", "0.0000"]
-    assert "How results rank" in page
+    assert rows[2][0].startswith("1. [The near one]")
+    assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "412&nbsp;†", "412&nbsp;†"]
+    assert [row[rows[0].index("coverage at 5 deg ↑")] for row in rows[3:]] == ["1.000", "1.000"]
+    assert "**What ranks**" in page
+    assert "† More than 30 hypotheses per image." in page
 
 
 def test_reference_rows_stand_below_the_results_without_a_rank(folder, images, tmp_path):
@@ -151,9 +109,9 @@ def test_reference_rows_stand_below_the_results_without_a_rank(folder, images, t
     path = folder / "tiny" / "reference" / "truth.json"
     path.write_text(report.to_json(document))
     rows = tables_of(page_of(folder))["tetX, hypotheses"]
-    assert [row[0] for row in rows[2:]] == ["The near one", "The far one", "*truth*"]
-    assert rows[4][1:3] == ["reference", "9"]
-    assert rows[4][-1] == "[truth](files/tiny/reference/truth.json)"
+    assert [row[0][:15] for row in rows[2:4]] == ["1. [The near on", "2. [The far one"]
+    assert rows[4][0] == "*[truth](files/tiny/reference/truth.json)*"
+    assert rows[4][1:] == ["*9*", "", "*1.000<br>[1.000,&nbsp;1.000]*", "*1.000*", "*1.000*"]
     edited(path, "objects", "tetX", "fingerprint", value="0" * 64)
     with pytest.raises(ScoresError, match=r"reference/truth\.json: .*fingerprint: expected"):
         read_leaderboard(folder)
@@ -161,7 +119,7 @@ def test_reference_rows_stand_below_the_results_without_a_rank(folder, images, t
 
 def test_code_may_stand_in_place_of_commands(folder):
     change_of("far.toml", 'commands = ["./far.sh"]', 'code = "https://example.org/far"')(folder / "tiny")
-    assert "https&#58;//example.org/far" in page_of(folder)
+    assert "[code](https://example.org/far)" in page_of(folder)
     change_of("far.toml", 'code = "https://example.org/far"', 'code = " "')(folder / "tiny")
     with pytest.raises(ScoresError, match="commands, code: one of them has to say"):
         read_leaderboard(folder)
@@ -175,7 +133,7 @@ def test_hostile_words_in_every_field_are_words_on_the_built_page(words, folder)
     place = folder / "tiny"
     change_of("far.toml", '"The far one"', quoted)(place)
     change_of("far.toml", '"a lab"', quoted)(place)
-    change_of("far.toml", '"an abacus"', f"{quoted}\nnotes = {quoted}\ncode = {quoted}")(place)
+    change_of("far.toml", '"an abacus"', f"{quoted}\nnotes = {quoted}")(place)
     change_of("far.toml", 'commands = ["./far.sh"]', f"commands = [{json.dumps('```')}, {quoted}]")(place)
     change_of("far.toml", "minutes = 3.25", f"minutes = 3.25\nfirst_stage = {quoted}")(place)
     change_of("set.toml", 'title = "Tiny"', f"title = {quoted}\nnotes = {quoted}")(place)
@@ -184,9 +142,9 @@ def test_hostile_words_in_every_field_are_words_on_the_built_page(words, folder)
         page_of(folder), extensions=config.markdown_extensions, extension_configs=config.mdx_configs
     )
     shown = html.unescape(re.sub(r"<[^>]*>", "", page))
-    assert shown.count(words) == 13  # two rows' titles and names, five facts, a command, a first stage, a set's two
+    assert shown.count(words) == 12  # two rows' titles and names, four facts, a command, a first stage, a set's two
     assert not re.search(r"<script|javascript:1\"|admonition|doc ", page)
-    assert page.count("<pre") == 3  # of the set and of two results
+    assert page.count("<pre") == 4  # of the set, of two results, and of the example
 
 
 @pytest.mark.parametrize(
@@ -258,7 +216,8 @@ def test_each_result_by_a_recipe_has_its_row_beside_the_thesis(folder):
 def test_how_a_result_was_made_stands_on_the_page(folder):
     page = page_of(folder)
     sha256 = json.loads((folder / "tiny" / "far.json").read_text())["objects"]["tetX"]["predictions"]["sha256"]
-    assert tables_of(page)["tiny/far"][2] == ["tetX", "7", "3.2", "", "", f"`{sha256}`"]
+    assert tables_of(page)["tiny/far"][2] == ["tetX", "7", "3.2", "", ""]
+    assert tables_of(page)["tiny/far"][5] == ["tetX", f"`{sha256}`"]
     assert "./far.sh" in page
     assert "an abacus" in page
 
@@ -349,15 +308,6 @@ def test_tables_of_the_thesis_that_do_not_fit_are_refused(before, after, said, f
         read_leaderboard(folder)
 
 
-def change_of(file, before, after):
-    def change(place):
-        text = (place / file).read_text()
-        assert before in text
-        (place / file).write_text(text.replace(before, after))
-
-    return change
-
-
 def scores_with(*keys, value):
     return lambda place: edited(place / "far.json", *keys, value=value)
 
@@ -396,6 +346,19 @@ RECALL = ("objects", "tetX", "hypotheses", "all", "recall_mean_error_rad")
         ),
         (change_of("far.toml", "2026-01-02", '"today"'), "date: expected a date, found 'today'"),
         (change_of("far.toml", '"./far.sh"', ""), "commands, code: one of them has to say"),
+        (
+            change_of("far.toml", 'commands = ["./far.sh"]', 'code = "see our paper"'),
+            "code: expected an address that begins with https://, found 'see our paper'",
+        ),
+        (
+            change_of("far.toml", '"./far.sh"]', '"./far.sh"]\ncode = "https://e.org/)[x](javascript:1)"'),
+            "code: expected an address",
+        ),
+        (
+            change_of("far.toml", "recipe =", "input_px = 0\nrecipe ="),
+            "input_px: expected 1 to 16384 pixels, found 0",
+        ),
+        (change_of("far.toml", "recipe =", "given_group = 1\nrecipe ="), "given_group: expected"),
         (change_of("far.toml", '"small-wta"', '"mine"'), "recipe: there is no 'mine' built in"),
         (change_of("far.toml", '"a lab"', '" "'), "by: is empty"),
         (change_of("far.toml", "by =", "from ="), "from: is no key of a result; keys are title, by"),
@@ -453,6 +416,8 @@ def test_check_writes_nothing_and_fails_where_the_page_is_old(folder, tmp_path):
     (folder / "tiny" / "far.json").unlink()
     refused = run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"])
     assert "is not what" in str(refused.exception)
+    assert "\n--- " in str(refused.exception)
+    assert "\n-| 2. [The far one](#tinyfar)<br>a lab | 1 |" in str(refused.exception)
     assert page.read_bytes() == before
 
 
