@@ -16,10 +16,8 @@ from symsol_annot.bench.leaderboard.rescoring import rescore
 from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.errors import ScoresError
 from symsol_annot.system.files import make_folder, write_atomically
-from symsol_annot.system.reading import read_text
 
-_SHOWN_LINES = 60  # of a difference
-_MAX_PAGE_BYTES = 2**24
+_SHOWN_LINES = 40  # of a difference
 
 
 @click.command(
@@ -75,7 +73,7 @@ def _build(board: Leaderboard, folder: Path, out: Path, *, check: bool) -> None:
 
 def _refuse_differences(folder: Path, out: Path, page: str, of_pictures: list[str]) -> None:
     """Raise a ScoresError with what has to change where the page or a picture is not what the files give."""
-    there = read_text(out, _MAX_PAGE_BYTES) if out.is_file() else ""
+    there = out.read_bytes().decode(errors="replace") if out.is_file() else ""
     names = {"fromfile": f"{out}, as it is", "tofile": f"{out}, as {folder} gives it"}
     lines = list(difflib.unified_diff(there.splitlines(), page.splitlines(), **names, lineterm="", n=1))
     lines = [*_first(lines), *_first(of_pictures)]
