@@ -26,12 +26,13 @@ RECIPES = {  # with the objects that they are trained on
     "small-classifier-k1024": OBJECTS,
     **dict.fromkeys(("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer"), ("tetX",)),
 }
+SIZE = 64  # of the images, which the networks read as they are
 PLACE = Path(__file__).resolve().parent / "results" / "leaderboard" / "small"
 
 
 def render_command(name):
     """Return the words that render an object's set."""
-    counts = ["--train", "20000", "--test", "500", "--size", "64"]
+    counts = ["--train", "20000", "--test", "500", "--size", str(SIZE)]
     return ["symsol-annot", "render", "--object", name, *counts, "--out", "small"]
 
 
@@ -93,12 +94,17 @@ def result(recipe, folder):
     names = RECIPES[recipe]
     records = {name: read_record(folder / "runs" / f"{name}-{recipe}" / WEIGHTS_FILE) for name in names}
     words = [f(recipe, name) for name in names for f in (train_command, predict_command)]
-    first = records[names[0]]
+    first, file = records[names[0]], load_recipe(recipe)
+    has_negatives = any(file.for_object(name, has_marking=True).needs_rejected_candidates for name in names)
     head = {
-        "title": load_recipe(recipe).title.partition(", small")[0],
+        "title": file.title.partition(", small")[0],
         "by": f"symsol-annot {__version__}",
         "hardware": f"{first.software['device'].removeprefix('cpu ')}, no GPU; torch {first.software['torch']}",
         "recipe": recipe,
+        "method": recipe,
+        "input_px": SIZE,
+        "given_group": has_negatives,  # rejected candidates are those of the body's group
+        "given_sets": has_negatives,
         "commands": [" ".join(command) for command in (*words, score_command(recipe))],
     }
     lines = [f"{key} = {json.dumps(value, indent=4)}" for key, value in head.items()]

@@ -13,6 +13,7 @@ from symsol_annot.system.machine import check_extra
 TRUTH, PREDICTED = "#0072b2", "#d55e00"
 SERIES = (TRUTH, PREDICTED, "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _UNDRAWABLE = r"Glyph \d+ .* missing from|Matplotlib currently does not support \w+ natively"  # a box stands there
+_DESCRIBED = {"png": "Description", "pdf": "Subject", "svg": "Description"}
 _DATELESS: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
 
 
@@ -37,8 +38,13 @@ def label_text(name: str) -> str:
     return f" {escaped}" if escaped.startswith("_") else escaped
 
 
-def write_figure(figure: Any, path: Path) -> None:
+def write_figure(figure: Any, path: Path, description: str = "") -> None:
     """Write a figure as its path's suffix says: .png, .pdf or .svg; the same figure gives the same bytes.
+
+    Args:
+        figure: what is drawn.
+        path: a PNG, PDF or SVG.
+        description: what the file says of itself beside the picture.
 
     Raises:
         SettingsError: another suffix.
@@ -49,11 +55,12 @@ def write_figure(figure: Any, path: Path) -> None:
         raise SettingsError(f"{path}: expected a name that ends in .png, .pdf or .svg")
     from matplotlib import rc_context
 
+    metadata = {**_DATELESS[form], **({_DESCRIBED[form]: description} if description else {})}
     drawn = io.BytesIO()
     with (
         rc_context({"svg.hashsalt": "symsol-annot", "pdf.fonttype": 42}),  # ids that are not drawn by lot; real fonts
         warnings.catch_warnings(),
     ):
         warnings.filterwarnings("ignore", _UNDRAWABLE)
-        figure.savefig(drawn, format=form, dpi=100, metadata=_DATELESS[form])
+        figure.savefig(drawn, format=form, dpi=100, metadata=metadata)
     write_atomically(path, drawn.getvalue())

@@ -139,6 +139,18 @@ FAULTS = {
         'thresholds.astype(in_order.dtype), side="left"',
         "bench/scoring/test_classifier.py::test_a_probability_of_exactly_the_threshold_is_no_claim",
     ),
+    "one of many equal methods the best by chance": (
+        "symsol_annot/bench/scoring/best.py",
+        "by_chance.max(axis=1)",
+        "by_chance.mean(axis=1)",
+        "bench/scoring/test_best.py::test_of_many_equal_methods_a_given_one_is_left_out_in_at_most_one_case_of_twenty",
+    ),
+    "a copy of the labels that ranks": (
+        "symsol_annot/bench/leaderboard/rows.py",
+        "for group in groups if not group.is_exact",
+        "for group in groups",
+        "bench/leaderboard/test_rows.py::test_copies_of_the_truth_have_no_rank_and_say_so",
+    ),
     "last images of an epoch left out": (
         "symsol_annot/sets/epoch_order.py",
         "n * (part + 1) // parts",

@@ -5,15 +5,23 @@ Anybody may send such files in: names, numbers and shapes are checked here, word
 
 import datetime as dt
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from symsol_annot.bench.models.recipe import builtin_recipes
 from symsol_annot.bench.predictions.structure import shown
 from symsol_annot.bench.scoring.metric import Place
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
 from symsol_annot.system.text.names import OBJECT_NAME_RULE, SPLITS, is_object_name, is_split
+
+_ADDRESS = re.compile(r"https://[A-Za-z0-9][A-Za-z0-9._~:/?#@&+,;=%-]{3,500}")  # as it stands in a link of Markdown
+_LARGEST_INPUT_PX: Final = 2**14
+HOW_IT_WAS_MADE = (
+    "commands, code: one of them has to say how the predictions were made: `commands`, a list of what was run, or "
+    "`code`, an address that begins with https://"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +89,13 @@ class Account:
         hardware: what the models were trained on.
         commands: from the set to the scores; none where `code` says how the predictions were made.
         recipe: of this package, if it was trained by one.
-        code: where the method's code is, or what it is described in.
+        code: an address, https://.., of the method's code or its description.
         notes: more in words.
+        method: a name that results share which differ in their seed alone; together they are one row.
+        input_px: the side in pixels of the square image that the network reads; None where not told.
+        given_group: whether the method was told the body's symmetry group, in training or after; None where not told.
+        given_sets: whether it learnt from symmetry sets or rejected candidates, rather than from one rotation per
+            image; None where not told.
         objects: object to training.
     """
 
@@ -94,6 +107,10 @@ class Account:
     recipe: str = ""
     code: str = ""
     notes: str = ""
+    method: str = ""
+    input_px: int | None = None
+    given_group: bool | None = None
+    given_sets: bool | None = None
     objects: Mapping[str, Training]
 
     def faults(self) -> Iterator[str]:
@@ -102,7 +119,11 @@ class Account:
             if not getattr(self, name).strip():
                 yield f"{name}: is empty"
         if not any(text.strip() for text in (*self.commands, self.code)):
-            yield "commands, code: one of them has to say how the predictions were made"
+            yield HOW_IT_WAS_MADE
+        elif self.code.strip() and not _ADDRESS.fullmatch(self.code):
+            yield f"code: expected an address that begins with https://, found {shown(self.code)}"
+        if self.input_px is not None and not 1 <= self.input_px <= _LARGEST_INPUT_PX:
+            yield f"input_px: expected 1 to {_LARGEST_INPUT_PX} pixels, found {self.input_px}"
         if self.recipe and self.recipe not in builtin_recipes():
             yield f"recipe: there is no {shown(self.recipe)} built in; leave it out"
         for name, training in self.objects.items():

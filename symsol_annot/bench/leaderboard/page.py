@@ -1,49 +1,98 @@
 """The leaderboard as a page of Markdown."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from symsol_annot.bench.leaderboard.entries import ImageSet, Leaderboard, Reference, Result, ThesisTable
+from symsol_annot.bench.leaderboard.accounts import accounts
+from symsol_annot.bench.leaderboard.entries import Leaderboard
+from symsol_annot.bench.leaderboard.picture import PICTURES, picture_name
 from symsol_annot.bench.leaderboard.results import REFERENCE
-from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
-from symsol_annot.bench.models.recipe import load_recipe
-from symsol_annot.bench.predictions.tracks.table import TRACKS
-from symsol_annot.bench.scoring.metric import HIGHER, Place
-from symsol_annot.bench.scoring.report import cell
-from symsol_annot.bench.scoring.scorers.table import SCORINGS, metric_of, metrics_shown
-from symsol_annot.system.text.markdown import escaped, fenced
+from symsol_annot.bench.leaderboard.rows import COUNT, Mark, Row, Table, tables_of
+from symsol_annot.bench.leaderboard.thesis_tables import beside_the_thesis
+from symsol_annot.bench.scoring.metric import Metric
+from symsol_annot.bench.scoring.scorers.table import SCORINGS
+from symsol_annot.system.text.markdown import escaped, fenced, linked, tabled
 
 _HEAD = """\
 # Leaderboard
 
 <!-- Built from {folder} by `symsol-annot leaderboard`: change those files, not this one. -->
 
-Scores come from files that `symsol-annot score` wrote, which the rows link to. The thesis's tables, and what is said
-of a result and its training, are what their authors state. Brackets hold 95% intervals over images. What the figures
-mean: [metrics.md](metrics.md). Two rows in detail: `symsol-annot compare`.
+**What ranks**, on each track and object by itself:
 
-**How results rank.** Hypotheses by the F-measure at 5 degrees: of each image, the harmonic mean of coverage and
-accuracy, with all its hypotheses counted alike. M is the number of hypotheses per image. More of them cover more of a
-set, but each one that is wrong lowers the accuracy, so that nobody wins by listing everything
-([metrics.md](metrics.md#what-ranks)). Classifiers rank by the F-measure (7.8), densities by the log-likelihood. Rows in
-italics are references, made from the labels: they show what a perfect, a blind and an ignorant method get, and have no
-rank.
+- *Hypotheses* by the F-measure at 5 degrees: of each image, the harmonic mean of coverage (recall) and accuracy
+  (precision), with all its hypotheses counted alike. M is their number per image. Listing everything wins nothing:
+  each wrong hypothesis lowers the accuracy of its image ([metrics.md](metrics.md#what-ranks)).
+- *Classifiers* by the F-measure (7.8). Read the hard negative rate beside it: it is 1 of a method that is blind to the
+  marking.
+- *Densities* by the log-likelihood, whose ceiling is that of the best density on the grid.
+
+The best is first and bold, with its 95% interval over images; references in italics have no rank.
+[How to read a row](#how-to-read-a-row), [send in a result](#send-in-a-result).
+"""
+_HOW_TO_READ = """\
+## How to read a row
+
+The best is bold, in the column that ranks: nobody is best in coverage alone, which listing everything wins. "px" is
+the side of the image that the network reads. Brackets hold 95% bootstrap intervals over images; they say nothing of
+another training. A method that was trained with several seeds is one row: the mean, its interval over images, and the
+range of the seeds.
+
+- {may_be_best} *may be the best.* With 95% confidence, the truly best of a table's ranked rows is among those with this
+  sign. All are compared with each other at once, paired by image, so that many rows make no winner by chance
+  ([metrics.md](metrics.md#which-rows-may-be-the-best)).
+- {many} *many hypotheses.* More per image than the thesis has, 30 (75 for the icosahedron). Coverage is cheap there:
+  compare with the row of the body's group.
+- {exact} *as exact as the labels.* Closer to them, in recall or in precision, than pixels tell
+  ([metrics.md](metrics.md#what-ranks)). Such a row has no rank.
+- *told group, sets.* It knew the body's symmetry group, or learnt from symmetry sets, not from one rotation per image.
+- *Rows in italics* are references, made from the labels: the truth, the best that 30 hypotheses can do, one true
+  rotation, a method that is blind to the marking, and chance. They have no rank.
+
+Scores come from files that `symsol-annot score` wrote, to which [each result](#how-the-results-were-made) links. What
+is said of a result and its training is what its authors state. Two rows in detail: `symsol-annot compare`.
 """
 _TAIL = """\
 ## Send in a result
 
 1. Make a set that is listed above, and write predictions: [submission.md](submission.md).
 2. `symsol-annot score preds.h5 --json NAME.json`. Several objects by one method go into one file of scores.
-3. Write NAME.toml, as those in [{folder}]({link}): `title`, `by`, `date`, `hardware`, `commands` or `code`, and of each
-   object's training `seed` and `minutes`. `code` says where the method is; with it, `commands` may be left out.
-4. Put both into the set's folder. `symsol-annot leaderboard {folder} --out {page}`
-   checks all files and builds this page. Open a pull request with the three files. Keep the predictions: their SHA-256
-   is in the scores.
+3. Write NAME.toml, as below: `commands`, `code`, or both.
+4. Put both into the set's folder in [{folder}]({link}). `symsol-annot leaderboard {folder} --out {page}`
+   checks all files, builds this page and draws its pictures. Open a pull request with what changed.
+5. Keep the predictions: their SHA-256 is in the scores. `symsol-annot leaderboard {folder} --rescore preds.h5`
+   scores them again and shows each figure that differs from the row.
+
+```toml
+title = "What the row is called"
+by = "who sends it in"
+date = 2026-01-31
+hardware = "1 GPU of this kind"
+code = "https://example.org/code"  # where the method is, or is described
+commands = ["./train.sh cylO", "./predict.sh cylO"]  # from the set to the scores
+input_px = 224  # optional: the side of the image that the network reads
+given_group = false  # optional: was it told the body's symmetry group?
+given_sets = false  # optional: did it learn from symmetry sets, or from rejected candidates?
+method = "mine"  # optional: results that share it differ in their seed alone, and are one row
+notes = "more in words"  # optional
+
+[objects.cylO]  # one table per object
+seed = 0
+minutes = 95  # of training
+```
 
 Refused are scores that do not rank (`score` warns why), that are about other images, that lack a figure of the tables,
-or whose figures do not follow from those of their images; and the same predictions twice.
+or whose figures do not follow from those of their images; the same predictions twice; and results that say neither
+`code` nor `commands`.
 """
+_NONE = "-"
+_LEGEND = {
+    Mark.MANY: "{sign} More than {usual} hypotheses per image.",
+    Mark.EXACT: "{sign} As exact as the labels: no rank.",
+    Mark.MAY_BE_BEST: "{sign} With 95% confidence the best of these {count} is among the {marked} with this sign.",
+}
 
 
 def to_markdown(board: Leaderboard, folder: str, link: str, page: str) -> str:
@@ -55,164 +104,104 @@ def to_markdown(board: Leaderboard, folder: str, link: str, page: str) -> str:
         link: from the page to it.
         page: the page's own path.
     """
+    signs = {mark.name.lower(): mark.value for mark in Mark}
     parts = [_HEAD.format(folder=folder)]
-    for name, image_set in board.sets.items():
-        parts += _of_set(image_set, board.results[name], board.references[name], f"{link}/{name}")
-    parts += _beside_the_thesis(board)
+    for name in board.sets:
+        parts += _of_set(board, name, link)
+    parts += [_HOW_TO_READ.format(**signs), *beside_the_thesis(board)]
     parts += [
         "## How the results were made",
-        *_accounts(board, link),
+        *accounts(board, link),
         _TAIL.format(folder=folder, link=link, page=page),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
-def _of_set(
-    image_set: ImageSet, results: Sequence[Result], references: Sequence[Reference], link: str
-) -> Iterator[str]:
-    """Yield a set's section: what it is, and a table for each object and track, the best first."""
+def _of_set(board: Leaderboard, folder: str, link: str) -> Iterator[str]:
+    """Yield a set's section: what it is, and of each track a picture and a table for each object, the best first."""
+    image_set = board.sets[folder]
     yield f"## {escaped(image_set.title)}"
     yield f"{image_set.images:,} images per object, of the {image_set.split} split. {escaped(image_set.notes)}".strip()
     yield fenced("\n".join(image_set.commands), "sh")
-    if not results:
+    if not board.results[folder]:
         yield "No results yet."
-    for name in image_set.fingerprints:
-        for track in TRACKS:
-            rows = [result for result in results if track in result.scores.get(name, {})]
-            beside = [row for row in references if track in row.scores.get(name, {})]
-            if rows:
-                yield f"### {escaped(name)}, {track}"
-                yield _table([*_ranked_rows(rows, name, track, link), *_reference_rows(beside, name, track, link)])
+    tables = tables_of(board, folder)
+    for track in dict.fromkeys(table.track for table in tables):
+        alike = [table for table in tables if table.track == track]
+        if any(table.has_results for table in alike):
+            metric = alike[0].metrics[0]
+            yield f"### {escaped(folder)}, {track}"
+            yield f"![{metric.words} of each method by object]({PICTURES}/{picture_name(folder, track)})"
+        for table in alike:
+            yield f"### {escaped(table.object)}, {track}"
+            yield tabled(_rows(table, folder, f"{link}/{folder}"))
+            if legend := " ".join(_legend(table)):
+                yield legend
 
 
-def _ranked_rows(results: Sequence[Result], name: str, track: str, link: str) -> Iterator[Sequence[str]]:
-    is_higher_better = metric_of(track, TRACKS[track].ranked_by).better == HIGHER
-
-    def rank(result: Result) -> float:
-        value = _ranked_figure(track, result.scores[name][track]["all"])["value"]
-        return math.inf if value is None else -value if is_higher_better else value
-
-    titles = [metric.title + metric.arrow for metric in metrics_shown(track, Place.LEADERBOARD)]
-    yield ["", "by", *SCORINGS[track].shown_facts, *titles, "scores"]
-    for result in sorted(results, key=rank):
-        about = [escaped(result.account.title), escaped(result.account.by)]
-        yield [*about, *_figures(track, result.scores[name][track]), _link(result.name, f"{link}/{result.name}.json")]
-
-
-def _reference_rows(rows: Sequence[Reference], name: str, track: str, link: str) -> Iterator[Sequence[str]]:
-    for row in rows:
-        scores = _link(row.name, f"{link}/{REFERENCE}/{row.name}.json")
-        yield [f"*{escaped(row.method)}*", "reference", *_figures(track, row.scores[name][track]), scores]
-
-
-def _figures(track: str, scores: Mapping[str, Any]) -> list[str]:
-    """Return the cells of a row: facts such as M, and the figures of all images."""
-    columns, figures = metrics_shown(track, Place.LEADERBOARD), scores["all"]
-    shown = {**figures, TRACKS[track].ranked_by: _ranked_figure(track, figures)}
-    facts = [str(scores[fact]) for fact in SCORINGS[track].shown_facts]
-    return [*facts, *(cell(shown[metric.name]) for metric in columns)]
-
-
-def _ranked_figure(track: str, figures: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what a result ranks by; of hypotheses with weights, the figure that counts them all alike."""
-    found: Mapping[str, Any] = figures[TRACKS[track].ranked_by]
-    return figures.get(TRACKS[track].ranked_by_if_there, found)
-
-
-def _link(name: str, target: str) -> str:
-    return f"[{escaped(name)}]({target})"
-
-
-def _beside_the_thesis(board: Leaderboard) -> Iterator[str]:
-    """Yield the thesis's tables, with what was measured here below the row it stands for."""
-    yield "## Beside the thesis"
-    yield board.thesis.notes.strip()
-    for title, table in board.thesis.tables.items():
-        runs = {recipe: _standing_for(recipe, board) for recipe in table.rows}
-        yield f"### {escaped(title)}"
-        yield _table(_thesis_rows(table, runs))
-        absent = [f"`{recipe}`" for recipe, found in runs.items() if not found]
-        yield f"Not run here: {', '.join(absent) or 'none'}."
-
-
-def _standing_for(recipe: str, board: Leaderboard) -> list[tuple[str, Result]]:
-    """Return the results by a recipe, or by the one of the small tier that stands for it, with their sets' folders."""
-    names = {recipe, board.thesis.small.get(recipe, recipe)}
-    return [
-        (folder, result)
-        for folder, of_set in board.results.items()
-        for result in of_set
-        if result.account.recipe in names
-    ]
-
-
-def _thesis_rows(table: ThesisTable, runs: Mapping[str, Sequence[tuple[str, Result]]]) -> Iterator[Sequence[str]]:
-    yield ["", "", *(escaped(name) for name in table.objects)]
-    for recipe, values in table.rows.items():
-        yield [
-            f"`{recipe}`",
-            f"thesis{_counts_of_recipe(recipe, table)}",
-            *("" if math.isnan(value) else f"{value:.3f}" for value in values),
+def _rows(table: Table, folder: str, link: str) -> Iterator[Sequence[str]]:
+    """Yield the head of a table and its rows; a column of which nothing is known is left out."""
+    facts = list(SCORINGS[table.track].shown_facts)
+    known = [m for m in table.metrics if any(not math.isnan(row.figures[m.name].value) for row in table.rows)]
+    size = ["px"] if table.has_results else []
+    yield ["", *facts, *size, *(metric.title + metric.arrow for metric in known)]
+    for row in table.rows:
+        cells = [
+            *(_fact(row, fact) for fact in facts),
+            *("" if row.is_reference else str(row.input_px or _NONE) for _ in size),
+            *(_figure(table, row, metric) for metric in known),
         ]
-        for folder, result in runs[recipe]:
-            here = f"here, {escaped(f'{folder}/{result.name}')}{_counts(result, table)}"
-            yield [f"`{result.account.recipe}`", here, *(_measured(result, o, table) for o in table.objects)]
+        if row.is_reference:
+            about = linked(row.title, f"{link}/{REFERENCE}/{row.names[0]}.json")
+            yield [f"*{cell}*" if cell else "" for cell in (about, *cells)]
+        else:
+            yield [_about(row, folder), *cells]
 
 
-def _counts(result: Result, table: ThesisTable) -> str:
-    """Return the M of a result, or several where it differs from object to object; nothing of other tracks."""
-    scores = (result.scores.get(name, {}).get(table.track, {}) for name in table.objects)
-    return _counts_in_words(found["M"] for found in scores if "M" in found)
+def _about(row: Row, folder: str) -> str:
+    """Return the first cell of a result: its place, its title, who sent it in, its seeds, what it was told."""
+    place = f"{row.place}. " if row.place is not None else f"{Mark.EXACT.value} "
+    first, *others = (_anchor(f"{folder}/{name}") for name in row.names)
+    lines = [f"{place}{linked(row.title, first)}", escaped(row.by)]
+    if others:
+        links = ", ".join(linked(str(number), anchor) for number, anchor in enumerate((first, *others), 1))
+        lines.append(f"{len(row.names)} seeds: {links}")
+    if row.told:
+        lines.append(f"told {', '.join(row.told)}")
+    return "<br>".join(lines)
 
 
-def _counts_of_recipe(recipe: str, table: ThesisTable) -> str:
-    """Return the M by which the thesis has its values of a row; nothing of other tracks."""
-    if "M" not in SCORINGS[table.track].shown_facts:
-        return ""
-    file = load_recipe(recipe)
-    known = [name for name, value in zip(table.objects, table.rows[recipe], strict=True) if not math.isnan(value)]
-    made = (file.for_object(name, has_marking=False) for name in known)
-    return _counts_in_words(one.hypotheses for one in made if isinstance(one, HypothesisRecipe))
+def _fact(row: Row, fact: str) -> str:
+    is_many = fact == COUNT and Mark.MANY in row.marks
+    return f"{row.facts[fact]}&nbsp;{Mark.MANY.value}" if is_many else str(row.facts[fact])
 
 
-def _counts_in_words(counts: Iterable[int]) -> str:
-    """Return one M, or all there are where it differs from object to object."""
-    shown = ", ".join(str(count) for count in sorted(set(counts)))
-    return f", M = {shown}" if shown else ""
+def _figure(table: Table, row: Row, metric: Metric[Any]) -> str:
+    """Return a figure; what ranks is bold in the first place, and has its interval and the range of the seeds below."""
+    figure = row.figures[metric.name]
+    if math.isnan(figure.value):
+        return _NONE
+    value = f"{figure.value:.3f}"
+    if metric is not table.metrics[0]:
+        return value
+    value = f"**{value}**" if row.place == 1 else value
+    lines = [f"{value}&nbsp;{Mark.MAY_BE_BEST.value}" if Mark.MAY_BE_BEST in row.marks else value]
+    if not math.isnan(figure.low):
+        lines.append(f"[{figure.low:.3f},&nbsp;{figure.high:.3f}]")
+    if row.seed_range is not None:
+        lines.append(f"seeds {row.seed_range[0]:.3f} to&nbsp;{row.seed_range[1]:.3f}")
+    return "<br>".join(lines)
 
 
-def _measured(result: Result, name: str, table: ThesisTable) -> str:
-    scores = result.scores.get(name, {}).get(table.track)
-    value = None if scores is None else scores["all"][table.metric]["value"]
-    return "" if value is None else f"**{value:.3f}**"
+def _legend(table: Table) -> Iterator[str]:
+    """Yield what the signs in a table mean."""
+    count, marked = len(table.ranked), sum(Mark.MAY_BE_BEST in row.marks for row in table.rows)
+    for mark in (mark for mark in Mark if mark in table.marks):
+        yield _LEGEND[mark].format(sign=mark.value, usual=table.usual_count, count=count, marked=marked)
+    if table.is_tested and not marked:
+        yield f"With 95% confidence the first is the best of these {count}."
 
 
-def _accounts(board: Leaderboard, link: str) -> Iterator[str]:
-    for folder, results in board.results.items():
-        for result in results:
-            account = result.account
-            yield f"### {escaped(f'{folder}/{result.name}')}"
-            facts = [f"{escaped(account.title)}, by {escaped(account.by)}, {account.date}", escaped(account.hardware)]
-            facts += [f"recipe `{account.recipe}`"] if account.recipe else []
-            facts += [escaped(account.code)] if account.code else []
-            facts += [escaped(account.notes).rstrip(".")] if account.notes else []
-            yield f"{'. '.join(facts)}. {_link(f'{result.name}.toml', f'{link}/{folder}/{result.name}.toml')}"
-            if account.commands:
-                yield fenced("\n".join(account.commands), "sh")
-            yield _table(_training_rows(result))
-
-
-def _training_rows(result: Result) -> Iterator[Sequence[str]]:
-    yield ["", "seed", "training, minutes", "of processor", "began with", "SHA-256 of the predictions"]
-    for name, training in result.account.objects.items():
-        used = "" if training.processor_minutes is None else f"{training.processor_minutes:.1f}"
-        sha256 = result.scores[name]["predictions"]["sha256"]
-        yield [
-            *(escaped(name), str(training.seed), f"{training.minutes:.1f}", used, escaped(training.first_stage)),
-            f"`{sha256}`",
-        ]
-
-
-def _table(rows: Iterable[Sequence[str]]) -> str:
-    head, *body = rows
-    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *body))
+def _anchor(heading: str) -> str:
+    """Return the link to a heading on this page, as code host and site make it."""
+    return "#" + re.sub(r"[^a-z0-9_-]", "", heading.lower())

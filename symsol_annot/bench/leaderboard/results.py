@@ -4,6 +4,7 @@
     SET/set.toml            an image set: what makes it, and the fingerprints of its splits
     SET/NAME.toml           a result: who, how, on what
     SET/NAME.json           its scores, as `score --json` wrote them
+                            those that say one `method` differ in their seed alone, and make one row
     SET/reference/ROW.json  scores of a reference row, as `reference` wrote them; shown beside results, not ranked
 
 A result is held against its set, and its figures against those of its images. Anybody may send such files in: names,
@@ -19,6 +20,7 @@ from typing import Any, Protocol, TypeVar
 
 from symsol_annot.bench.leaderboard.entries import Account, ImageSet, Leaderboard, Reference, Result, Thesis
 from symsol_annot.bench.predictions.structure import shown
+from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.bench.scoring.metric import Place
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
 from symsol_annot.bench.scoring.scores_file import figures_that_differ, read_scores
@@ -45,6 +47,7 @@ _NAME = re.compile(r"[A-Za-z0-9._-]+")  # as it stands in links and headings
 _NAME_RULE = "a name has letters, digits, '.', '_' and '-' alone"
 REFERENCE = "reference"
 _SHOWN_FAULTS = 20  # of one file
+_SHARED = ("title", "by", "recipe", "input_px", "given_group", "given_sets")  # by results of one method
 
 
 def read_leaderboard(folder: str | os.PathLike[str]) -> Leaderboard:
@@ -128,7 +131,42 @@ def _results(place: Path, image_set: ImageSet) -> tuple[tuple[Result, ...], list
             found += [f"{place / name}.toml: {fault}" for fault in _faults_of_account(account, scores["objects"])]
             results.append(Result(name, account, scores["objects"]))
         faults += found
+    faults += [f"{place}: {fault}" for fault in _faults_of_methods(results)]
     return tuple(results), faults
+
+
+def _faults_of_methods(results: Iterable[Result]) -> Iterator[str]:
+    """Say which results of one method differ in more than their seed, or have one seed twice."""
+    first: dict[str, Result] = {}
+    seeds: dict[tuple[str, str, int], str] = {}
+    for result in (result for result in results if result.account.method):
+        method = result.account.method
+        other = first.setdefault(method, result)
+        for what in _SHARED:
+            found, wanted = getattr(result.account, what), getattr(other.account, what)
+            if found != wanted:
+                yield (
+                    f"{result.name}.toml: {what}: expected {shown(wanted)}, as {other.name}.toml of one method, "
+                    f"found {shown(found)}"
+                )
+        for name, training in result.account.objects.items():
+            same = seeds.setdefault((method, name, training.seed), result.name)
+            if same != result.name:
+                yield f"{result.name}.toml: objects.{name}.seed: {training.seed} is that of {same}.toml, of one method"
+        yield from _faults_of_facts(result, other)
+
+
+def _faults_of_facts(result: Result, other: Result) -> Iterator[str]:
+    """Say in which facts, such as M, two results of one method differ, by object and track."""
+    for name in (name for name in result.scores if name in other.scores):
+        ours, theirs = result.scores[name], other.scores[name]
+        for track, scoring in SCORINGS.items():
+            for fact in scoring.shown_facts if track in ours and track in theirs else ():
+                if ours[track][fact] != theirs[track][fact]:
+                    yield (
+                        f"{result.name}.json: objects.{name}.{track}.{fact}: expected {theirs[track][fact]}, "
+                        f"as {other.name}.json, found {ours[track][fact]}"
+                    )
 
 
 def _references(place: Path, image_set: ImageSet) -> tuple[tuple[Reference, ...], list[str]]:
@@ -179,6 +217,7 @@ def _missing(entry: Mapping[str, Any], tracks: Iterable[str]) -> Iterator[str]:
     """Yield which metrics of the page an object's scores lack; without them a bad figure could be left out."""
     for track in tracks:
         names = [metric.name for metric in metrics_shown(track, Place.LEADERBOARD)]
+        names += [name for name in [TRACKS[track].ranked_by_if_there] if name in entry[track]["all"]]  # it would rank
         yield from (f"{track}.{name}" for name in names if name not in entry["per_image"][track])
 
 

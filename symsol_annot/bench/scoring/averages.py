@@ -78,8 +78,8 @@ def figures(table: PerImage, strata: Mapping[str, npt.NDArray[np.bool_]]) -> dic
         strata: name to (N,) images.
     """
     summands, weights = _sums(table, strata)
-    values = _ratio(summands.sum(axis=0), weights.sum(axis=0))
-    return _tabulate(values, _resampled(summands, weights), weights > 0, list(table.values), strata)
+    values = ratio(summands.sum(axis=0), weights.sum(axis=0))
+    return _tabulate(values, resampled(summands, weights), weights > 0, list(table.values), strata)
 
 
 def difference(
@@ -94,8 +94,8 @@ def difference(
     """
     a, a_weights = _sums(first, strata)
     b, b_weights = _sums(second.select(list(first.values)), strata)
-    values = _ratio(b.sum(axis=0), b_weights.sum(axis=0)) - _ratio(a.sum(axis=0), a_weights.sum(axis=0))
-    drawn = _resampled(b, b_weights) - _resampled(a, a_weights)
+    values = ratio(b.sum(axis=0), b_weights.sum(axis=0)) - ratio(a.sum(axis=0), a_weights.sum(axis=0))
+    drawn = resampled(b, b_weights) - resampled(a, a_weights)
     return _tabulate(values, drawn, (a_weights > 0) & (b_weights > 0), list(first.values), strata)
 
 
@@ -130,11 +130,19 @@ def _sums(table: PerImage, strata: Mapping[str, npt.NDArray[np.bool_]]) -> tuple
     return np.concatenate([w * finite for w in inside], axis=1), np.concatenate(inside, axis=1)
 
 
-def _resampled(summands: Values, weights: Values) -> Values:
-    """Return the ratio of sums in each draw: (DRAWS, columns)."""
+def resampled(summands: Values, weights: Values) -> Values:
+    """Return the ratio of sums in each draw.
+
+    Args:
+        summands: (N, columns) weight x value of the images, 0 where undefined.
+        weights: (N, columns).
+
+    Returns:
+        (DRAWS, columns); the draws are the same for all tables of N images.
+    """
     both = np.concatenate([summands, weights], axis=1)
     sums = np.concatenate([counts @ both for counts in _draws(len(both))])
-    return _ratio(sums[:, : summands.shape[1]], sums[:, summands.shape[1] :])
+    return ratio(sums[:, : summands.shape[1]], sums[:, summands.shape[1] :])
 
 
 def _draws(images: int) -> Iterator[Values]:
@@ -149,7 +157,8 @@ def _draws(images: int) -> Iterator[Values]:
         yield counts.reshape(draws, images).astype(np.float64)
 
 
-def _ratio(summands: Values, weights: Values) -> Values:
+def ratio(summands: Values, weights: Values) -> Values:
+    """Return summands / weights, of one shape; NaN where nothing weighs."""
     return np.divide(summands, weights, out=np.full(summands.shape, np.nan), where=weights > 0)
 
 

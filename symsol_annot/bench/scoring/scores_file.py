@@ -202,13 +202,15 @@ def figures_that_differ(entry: dict[str, Any]) -> Iterator[str]:
             for metric, figure in computed.items():
                 found = entry[track][stratum][metric]
                 for end in _ENDS:
-                    if not _is_same(found[end], value := getattr(figure, end)):
+                    if not is_same_figure(found[end], value := getattr(figure, end)):
                         where = f"{track}.{stratum}.{metric}.{end}"
                         yield f"{where}: says {shown(found[end])}, its images give {value:.12g}"
 
 
-def _is_same(said: float | None, computed: float) -> bool:
-    return bool(np.isclose(np.nan if said is None else said, computed, _DIGITS_LOST, _DIGITS_LOST, equal_nan=True))
+def is_same_figure(said: float | None, computed: float | None) -> bool:
+    """Tell whether two figures are one to the digits that a scores.json has; None is one that is undefined."""
+    a, b = (np.nan if value is None else value for value in (said, computed))
+    return bool(np.isclose(a, b, _DIGITS_LOST, _DIGITS_LOST, equal_nan=True))
 
 
 def _is_text(value: Any) -> bool:

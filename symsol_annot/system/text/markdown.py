@@ -1,6 +1,7 @@
 """Markdown's edge: words from files become text on a page, whatever markup they contain."""
 
 import re
+from collections.abc import Iterable, Sequence
 
 _LIVE = frozenset("\\`*_{}[]<>|#&$!~^+@")  # may be markup anywhere in a line
 _DOUBLED = frozenset("-=")  # is markup at a line's start, or beside another of its kind
@@ -28,6 +29,17 @@ def fenced(lines: str, language: str) -> str:
     inside = "\n".join(kept)
     fence = "`" * max([3, *(len(found) + 1 for found in _LONGEST_FENCE.findall(inside))])
     return f"{fence}{language}\n{inside}\n{fence}"
+
+
+def linked(words: object, target: str) -> str:
+    """Return words as a link, whose target is no stranger's."""
+    return f"[{escaped(words)}]({target})"
+
+
+def tabled(rows: Iterable[Sequence[str]]) -> str:
+    """Return rows of Markdown as a table, of which the first row is the head."""
+    head, *body = rows
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *body))
 
 
 def _is_live(line: str, i: int) -> bool:

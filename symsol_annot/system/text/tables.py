@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 _LARGEST_INT = 2**63 - 1  # TOML has none beyond
 _SHOWN_CHARACTERS = 100
-_WORDS = {bool: "true or false", float: "a number", int: "a whole number", dt.date: "a date"}
+_WORDS = {float: "a number", int: "a whole number", dt.date: "a date", bool: "true or false"}
 
 
 @dataclass(frozen=True)

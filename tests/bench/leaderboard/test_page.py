@@ -1,23 +1,20 @@
-"""The leaderboard's page: what it shows of which results, in which order, and that words stay words."""
+"""The page: rows and their order, what stands beside them, and words of unknown origin."""
 
 import html
-import importlib.util
 import json
 import re
 import shutil
 import tomllib
-from types import SimpleNamespace
 
 import markdown
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from leaderboard_files import FILES, ROOT, change_of, edited
+from made_boards import FILES, ROOT, change_of, edited, page_of, tables_of
 from mkdocs.config import load_config
 from scipy.spatial.transform import Rotation
 from symsol_annot_cli.leaderboard import leaderboard
 
-from symsol_annot.bench.leaderboard.page import to_markdown
 from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
 from symsol_annot.bench.scoring import report
@@ -28,21 +25,6 @@ from symsol_annot.errors import ScoresError
 NOTES = 'a "quote", a \\ and an é,\non two lines'
 
 
-def page_of(folder):
-    return to_markdown(read_leaderboard(folder), str(folder), "files", "page.md")
-
-
-def tables_of(page):
-    """Title of each heading to the rows below it, cells stripped."""
-    tables = {}
-    for part in re.split(r"^#+ ", page, flags=re.MULTILINE)[1:]:
-        rows = [
-            [cell.strip() for cell in line.strip("|").split(" | ")] for line in part.splitlines() if line[:1] == "|"
-        ]
-        tables[part.splitlines()[0]] = rows
-    return tables
-
-
 def test_the_page_of_the_repository_is_what_its_files_give(monkeypatch):
     monkeypatch.chdir(ROOT)
     done = CliRunner().invoke(leaderboard, ["docs/results/leaderboard", "--out", "docs/leaderboard.md", "--check"])
@@ -51,11 +33,34 @@ def test_the_page_of_the_repository_is_what_its_files_give(monkeypatch):
 
 def test_rows_hold_the_figures_of_the_scores_the_best_first(folder):
     rows = tables_of(page_of(folder))["tetX, hypotheses"]
-    assert [row[0] for row in rows[2:]] == ["The near one", "The far one"]
+    assert [row[0] for row in rows[2:]] == [
+        "1. [The near one](#tinynear)<br>a lab",
+        "2. [The far one](#tinyfar)<br>a lab",
+    ]
+    for row, name in zip(rows[2:], ("near", "far"), strict=True):
+        scores = json.loads((folder / "tiny" / f"{name}.json").read_text())["objects"]["tetX"]["hypotheses"]["all"]
+        f, accuracy = (scores[f"{what}_at_5_deg"] for what in ("f_measure", "accuracy"))
+        value = f"**{f['value']:.3f}**" if name == "near" else f"{f['value']:.3f}"
+        interval = f"{value}<br>[{f['low']:.3f},&nbsp;{f['high']:.3f}]"
+        assert row[rows[0].index("F-measure at 5 deg ↑")] == interval
+        assert row[rows[0].index("accuracy at 5 deg ↑")] == f"{accuracy['value']:.3f}"
+
+
+def test_figures_that_the_tables_leave_out_stand_with_how_a_result_was_made(folder):
+    page = page_of(folder)
+    rows = tables_of(page)["tiny/far"]
     scores = json.loads((folder / "tiny" / "far.json").read_text())["objects"]["tetX"]["hypotheses"]["all"]
-    column = rows[0].index("precision mean error, rad (5.9) ↓")
-    assert rows[3][column].startswith(f"{scores['precision_mean_error_rad']['value']:.4f} [")
-    assert rows[3][-1] == "[far](files/tiny/far.json)"
+    head = next(row for row in rows if row[0] == "hypotheses")
+    column, row = head.index("precision mean error, rad (5.9) ↓"), rows[rows.index(head) + 2]
+    assert row[column].startswith(f"{scores['precision_mean_error_rad']['value']:.4f} [")
+    assert "[far.json](files/tiny/far.json)" in page
+    assert "[far.toml](files/tiny/far.toml)" in page
+
+
+def test_no_table_of_ranks_has_more_than_six_columns(folder):
+    for title, rows in tables_of(page_of(folder)).items():
+        if title.startswith("tetX, "):
+            assert len(rows[0]) <= 6
 
 
 def test_each_row_of_hypotheses_has_its_M(folder):
@@ -70,7 +75,8 @@ def test_nobody_ranks_first_by_listing_everything(folder, images, tmp_path):
         (folder / "tiny" / f"far.{ending}").unlink()
     rng = np.random.default_rng(0)
     noise = Rotation.random(len(labels) * 400, random_state=rng).as_matrix().reshape(len(labels), 400, 3, 3)
-    everything = np.concatenate([labels.rotation[:, None] @ labels.symmetry_group, noise], axis=1)
+    blurred = Rotation.from_rotvec([0.005, 0, 0]).as_matrix()  # as exact as the labels it would have no rank
+    everything = np.concatenate([labels.rotation[:, None] @ labels.symmetry_group @ blurred, noise], axis=1)
     weights = np.full(everything.shape[:2], 1e-30)
     weights[:, 0] = 1.0  # the first is right; the others hardly count for precision, but fully for recall
     for name, given in {"listed": None, "weighted": weights}.items():
@@ -82,10 +88,11 @@ def test_nobody_ranks_first_by_listing_everything(folder, images, tmp_path):
         (folder / "tiny" / f"{name}.toml").write_text(toml)
     page = page_of(folder)
     rows = tables_of(page)["tetX, hypotheses"]
-    assert rows[2][0] == "The near one"
-    assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "412", "412"]
-    assert [row[rows[0].index("recall mean error, rad (5.7) ↓")][:6] for row in rows[3:]] == ["0.0000", "0.0000"]
-    assert "How results rank" in page
+    assert rows[2][0].startswith("1. [The near one]")
+    assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "412&nbsp;†", "412&nbsp;†"]
+    assert [row[rows[0].index("coverage at 5 deg ↑")] for row in rows[3:]] == ["1.000", "1.000"]
+    assert "**What ranks**" in page
+    assert "† More than 30 hypotheses per image." in page
 
 
 def test_reference_rows_stand_below_the_results_without_a_rank(folder, images, tmp_path):
@@ -95,9 +102,9 @@ def test_reference_rows_stand_below_the_results_without_a_rank(folder, images, t
     path = folder / "tiny" / "reference" / "truth.json"
     path.write_text(report.to_json(document))
     rows = tables_of(page_of(folder))["tetX, hypotheses"]
-    assert [row[0] for row in rows[2:]] == ["The near one", "The far one", "*truth*"]
-    assert rows[4][1:3] == ["reference", "9"]
-    assert rows[4][-1] == "[truth](files/tiny/reference/truth.json)"
+    assert [row[0][:15] for row in rows[2:4]] == ["1. [The near on", "2. [The far one"]
+    assert rows[4][0] == "*[truth](files/tiny/reference/truth.json)*"
+    assert rows[4][1:] == ["*9*", "", "*1.000<br>[1.000,&nbsp;1.000]*", "*1.000*", "*1.000*"]
     edited(path, "objects", "tetX", "fingerprint", value="0" * 64)
     with pytest.raises(ScoresError, match=r"reference/truth\.json: .*fingerprint: expected"):
         read_leaderboard(folder)
@@ -105,7 +112,7 @@ def test_reference_rows_stand_below_the_results_without_a_rank(folder, images, t
 
 def test_code_may_stand_in_place_of_commands(folder):
     change_of("far.toml", 'commands = ["./far.sh"]', 'code = "https://example.org/far"')(folder / "tiny")
-    assert "https&#58;//example.org/far" in page_of(folder)
+    assert "[code](https://example.org/far)" in page_of(folder)
     change_of("far.toml", 'code = "https://example.org/far"', 'code = " "')(folder / "tiny")
     with pytest.raises(ScoresError, match="commands, code: one of them has to say"):
         read_leaderboard(folder)
@@ -119,7 +126,7 @@ def test_hostile_words_in_every_field_are_words_on_the_built_page(words, folder)
     place = folder / "tiny"
     change_of("far.toml", '"The far one"', quoted)(place)
     change_of("far.toml", '"a lab"', quoted)(place)
-    change_of("far.toml", '"an abacus"', f"{quoted}\nnotes = {quoted}\ncode = {quoted}")(place)
+    change_of("far.toml", '"an abacus"', f"{quoted}\nnotes = {quoted}")(place)
     change_of("far.toml", 'commands = ["./far.sh"]', f"commands = [{json.dumps('```')}, {quoted}]")(place)
     change_of("far.toml", "minutes = 3.25", f"minutes = 3.25\nfirst_stage = {quoted}")(place)
     change_of("set.toml", 'title = "Tiny"', f"title = {quoted}\nnotes = {quoted}")(place)
@@ -128,17 +135,9 @@ def test_hostile_words_in_every_field_are_words_on_the_built_page(words, folder)
         page_of(folder), extensions=config.markdown_extensions, extension_configs=config.mdx_configs
     )
     shown = html.unescape(re.sub(r"<[^>]*>", "", page))
-    assert shown.count(words) == 13  # two rows' titles and names, five facts, a command, a first stage, a set's two
+    assert shown.count(words) == 12  # two rows' titles and names, four facts, a command, a first stage, a set's two
     assert not re.search(r"<script|javascript:1\"|admonition|doc ", page)
-    assert page.count("<pre") == 3  # of the set and of two results
-
-
-def test_what_an_operating_system_leaves_in_folders_is_passed_over(folder):
-    before = page_of(folder)
-    (folder / ".git").mkdir()
-    (folder / "tiny" / "._far.toml").write_bytes(b"\x00")
-    (folder / "tiny" / ".DS_Store").write_bytes(b"\x00")
-    assert page_of(folder) == before
+    assert page.count("<pre") == 4  # of the set, of two results, and of the example
 
 
 def test_a_row_of_the_thesis_has_what_was_run_below_it_or_says_that_nothing_was(folder):
@@ -183,7 +182,8 @@ def test_each_result_by_a_recipe_has_its_row_beside_the_thesis(folder):
 def test_how_a_result_was_made_stands_on_the_page(folder):
     page = page_of(folder)
     sha256 = json.loads((folder / "tiny" / "far.json").read_text())["objects"]["tetX"]["predictions"]["sha256"]
-    assert tables_of(page)["tiny/far"][2] == ["tetX", "7", "3.2", "", "", f"`{sha256}`"]
+    assert tables_of(page)["tiny/far"][2] == ["tetX", "7", "3.2", "", ""]
+    assert tables_of(page)["tiny/far"][5] == ["tetX", f"`{sha256}`"]
     assert "./far.sh" in page
     assert "an abacus" in page
 
@@ -207,6 +207,30 @@ def test_a_set_of_unknown_origin_is_text(folder):
     assert not set(line) & set("<>[]`")
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('track = "classifier"', 'track = "guesses"', "track: expected one of hypotheses, classifier, density, found"),
+        ('metric = "f_measure"', 'metric = "accuracy"', "metric: expected one of recall, precision, f_measure"),
+        (
+            "wta-cosine = [0.018,",
+            "wta-cosine = [0.018, 0.5,",
+            "rows.wta-cosine: expected a number per object, 7, found 8",
+        ),
+        ("ewta-cosine = [0.942,", "ewta-cosine = [", "rows.ewta-cosine: expected a number per object, 7, found 6"),
+        ("ewta-cosine = [0.942,", "'<b>' = [0.942,", "rows: there is no recipe '<b>' built in"),
+        ('["tet", ', '["<b>", ', "objects: '<b>': an object's name has 1 to 64 letters"),
+        ('= "small-ewta"', '= "small-etwa"', "small.ewta-von-mises: there is no recipe 'small-etwa' built in"),
+    ],
+)
+def test_tables_of_the_thesis_that_do_not_fit_are_refused(before, after, said, folder):
+    file = folder / "thesis.toml"
+    assert before in file.read_text()
+    file.write_text(file.read_text().replace(before, after, 1))
+    with pytest.raises(ScoresError, match=rf"thesis\.toml: .*{re.escape(said)}"):
+        read_leaderboard(folder)
+
+
 def test_check_writes_nothing_and_fails_where_the_page_is_old(folder, tmp_path):
     page = tmp_path / "page.md"
     run = CliRunner()
@@ -219,23 +243,6 @@ def test_check_writes_nothing_and_fails_where_the_page_is_old(folder, tmp_path):
     (folder / "tiny" / "far.json").unlink()
     refused = run.invoke(leaderboard, [str(folder), "--out", str(page), "--check"])
     assert "is not what" in str(refused.exception)
+    assert "\n--- " in str(refused.exception)
+    assert "\n-| 2. [The far one](#tinyfar)<br>a lab | 1 |" in str(refused.exception)
     assert page.read_bytes() == before
-
-
-@pytest.fixture
-def baselines():
-    """docs/baselines.py, with trainings that took a minute each."""
-    found = importlib.util.spec_from_file_location("baselines", ROOT / "docs" / "baselines.py")
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    row = {"seconds": 60.0, "processor_seconds": 30.0}
-    record = SimpleNamespace(rows=(row,), seed=0, first_stage="random", software={"device": "cpu x", "torch": "2"})
-    module.read_record = lambda _: record
-    return module
-
-
-def test_a_baseline_that_is_made_again_keeps_the_notes_of_its_file(baselines, tmp_path):
-    baselines.PLACE = tmp_path
-    (tmp_path / "small-wta.toml").write_text(f"notes = {json.dumps(NOTES)}\n")
-    assert tomllib.loads(baselines.result("small-wta", tmp_path))["notes"] == NOTES
-    assert "notes" not in tomllib.loads(baselines.result("small-rwta", tmp_path))

@@ -13,6 +13,8 @@ from symsol_annot.bench.scoring import metrics
 from symsol_annot.bench.scoring.metric import HIGHER, LOWER, NEITHER, Metric, Place, Values
 from symsol_annot.bench.scoring.scorers.scorer import ASKED_OTHERWISE, GridScorer, TrackScoring
 
+EXACT_NATS = 0.01  # below the ceiling: all of the mass is on the cells of the set
+
 
 @dataclass(frozen=True, eq=False)
 class MeasuredDensity:
@@ -124,4 +126,16 @@ def _caption(entry: Mapping[str, Any]) -> Iterator[str]:
         yield f"  probabilities of cells under {entry[DENSITY_FLOOR]:g} were not told apart by its writer"
 
 
-DENSITY_SCORING = TrackScoring(track=DENSITY, open=DensityScorer, metrics=METRICS, caption=_caption)
+def _is_exact(figures: Mapping[str, Any]) -> bool:
+    value, ceiling = (figures[name]["value"] for name in ("log_likelihood", "log_likelihood_ceiling"))
+    return value is not None and ceiling is not None and value > ceiling - EXACT_NATS
+
+
+DENSITY_SCORING = TrackScoring(
+    track=DENSITY,
+    open=DensityScorer,
+    metrics=METRICS,
+    caption=_caption,
+    beside_rank=("log_likelihood_ceiling", "spread_rad"),
+    is_exact=_is_exact,
+)

@@ -24,6 +24,7 @@ F_UNWEIGHTED = HYPOTHESES.ranked_by_if_there
 # Neighbours on the lattice are 1, 2, .. degrees apart, which is where the thresholds lie. An angle to a rotation that
 # was rounded to float32, or multiplied in it, is off by less than the slack (docs/metrics.md, "Angles").
 SLACK_RAD = 1e-6
+EXACT_RAD = 1e-3  # 0.06 degrees, a fifteenth of the thesis's best; no method reads that from pixels
 _PAIRS_AT_ONCE = 2**20
 
 
@@ -237,6 +238,11 @@ def _faults_of_facts(entry: Mapping[str, Any]) -> Iterator[str]:
         yield f".M: expected 1 to {MAX_HYPOTHESES} hypotheses per image, found {shown(count)}"
 
 
+def _is_exact(figures: Mapping[str, Any]) -> bool:
+    errors = (figures[name]["value"] for name in ("recall_mean_error_rad", "precision_mean_error_rad"))
+    return any(error is not None and error < EXACT_RAD for error in errors)
+
+
 HYPOTHESES_SCORING = TrackScoring(
     track=HYPOTHESES,
     open=HypothesesScorer,
@@ -244,4 +250,6 @@ HYPOTHESES_SCORING = TrackScoring(
     shown_facts={"M": "M, hypotheses per image"},
     result_name=_result_name,
     faults_of_facts=_faults_of_facts,
+    beside_rank=(f"coverage_at_{RANKED_ANGLE_DEG}_deg", f"accuracy_at_{RANKED_ANGLE_DEG}_deg"),
+    is_exact=_is_exact,
 )

@@ -102,6 +102,10 @@ def _nothing(_scores: Mapping[str, Any]) -> Iterator[str]:
     return iter(())
 
 
+def _never(_figures: Mapping[str, Any]) -> bool:
+    return False
+
+
 @dataclass(frozen=True)
 class TrackScoring:
     """All that scoring knows of a track.
@@ -115,6 +119,8 @@ class TrackScoring:
             the track's name says enough.
         faults_of_facts: says what is wrong with the facts in such an entry.
         caption: yields lines for below the table of such an entry.
+        beside_rank: names of the metrics that the leaderboard's tables show beside the one that ranks.
+        is_exact: whether such an entry's figures of all images are what the labels themselves have, and no method.
     """
 
     track: Track
@@ -124,6 +130,8 @@ class TrackScoring:
     result_name: Callable[[Mapping[str, Any]], str] | None = None
     faults_of_facts: Callable[[Mapping[str, Any]], Iterator[str]] = _nothing
     caption: Callable[[Mapping[str, Any]], Iterator[str]] = _nothing
+    beside_rank: tuple[str, ...] = ()
+    is_exact: Callable[[Mapping[str, Any]], bool] = _never
 
     def name_of(self, entry: Mapping[str, Any]) -> str:
         """Return how a result is named, given the facts of it: the track's name, but for tracks with a rule."""

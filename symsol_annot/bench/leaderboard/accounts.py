@@ -1,0 +1,65 @@
+"""How the results were made, in Markdown: what each says of itself, and the figures that tables leave out."""
+
+from collections.abc import Iterator, Sequence
+
+from symsol_annot.bench.leaderboard.entries import Account, Leaderboard, Result
+from symsol_annot.bench.leaderboard.rows import figures_shown
+from symsol_annot.bench.scoring.report import cell
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metric_of
+from symsol_annot.system.text.markdown import escaped, fenced, linked, tabled
+
+
+def accounts(board: Leaderboard, link: str) -> Iterator[str]:
+    """Yield what each result says of itself, and those of its figures that the tables leave out."""
+    for folder, results in board.results.items():
+        for result in results:
+            account = result.account
+            yield f"### {escaped(f'{folder}/{result.name}')}"
+            facts = [f"{escaped(account.title)}, by {escaped(account.by)}, {account.date}", escaped(account.hardware)]
+            facts += [f"recipe `{account.recipe}`"] if account.recipe else []
+            facts += list(_knowledge(account))
+            facts += [escaped(account.notes).rstrip(".")] if account.notes else []
+            links = [linked(f"{result.name}.{end}", f"{link}/{folder}/{result.name}.{end}") for end in ("toml", "json")]
+            links += [linked("code", account.code)] if account.code.strip() else []
+            yield f"{'. '.join(facts)}. {', '.join(links)}"
+            if account.commands:
+                yield fenced("\n".join(account.commands), "sh")
+            yield tabled(_training_rows(result))
+            yield tabled(_digest_rows(result))
+            for track in SCORINGS:
+                if rows := list(_other_figures(result, track)):
+                    yield tabled(rows)
+
+
+def _knowledge(account: Account) -> Iterator[str]:
+    """Yield what a method reads and was told, as far as its account says so."""
+    if account.input_px is not None:
+        yield f"reads {account.input_px}x{account.input_px} pixels"
+    if account.given_group is not None:
+        yield f"{'told' if account.given_group else 'not told'} the body's group"
+    if account.given_sets is not None:
+        yield f"learnt from {'symmetry sets' if account.given_sets else 'one rotation per image'}"
+
+
+def _training_rows(result: Result) -> Iterator[Sequence[str]]:
+    yield ["", "seed", "training, minutes", "of processor", "began with"]
+    for name, training in result.account.objects.items():
+        used = "" if training.processor_minutes is None else f"{training.processor_minutes:.1f}"
+        yield [escaped(name), str(training.seed), f"{training.minutes:.1f}", used, escaped(training.first_stage)]
+
+
+def _digest_rows(result: Result) -> Iterator[Sequence[str]]:
+    yield ["", "SHA-256 of the predictions"]
+    for name in result.account.objects:
+        yield [escaped(name), f"`{result.scores[name]['predictions']['sha256']}`"]
+
+
+def _other_figures(result: Result, track: str) -> Iterator[Sequence[str]]:
+    """Yield a table of the figures that the ranking tables leave out, with intervals; nothing where there are none."""
+    names = figures_shown(track)[1 + len(SCORINGS[track].beside_rank) :]
+    objects = [name for name in result.account.objects if track in result.scores[name]]
+    if not names or not objects:
+        return
+    yield [track, *(metric_of(track, name).title + metric_of(track, name).arrow for name in names)]
+    for name in objects:
+        yield [escaped(name), *(cell(result.scores[name][track]["all"][metric]) for metric in names)]

@@ -1,0 +1,177 @@
+"""The leaderboard as pictures: of each set and track, what ranks of each method, by object."""
+
+import hashlib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from symsol_annot.bench.leaderboard.entries import Leaderboard
+from symsol_annot.bench.leaderboard.rows import COUNT, Mark, Row, Table, tables_of
+from symsol_annot.plotting.canvas import SERIES, label_text, new_figure, write_figure
+
+PICTURES = "images"  # the folder beside the page
+_WIDTH_INCHES = 5.2  # as wide as a phone shows without letters too small
+_ROW_INCHES, _LEGEND_INCHES, _MARGIN_INCHES = 0.15, 0.19, 0.75
+_MARKERS = "osD^v<>PX"
+_GREY = "0.45"  # of references, which are hollow
+_LONGEST_LABEL = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A figure of a method about an object, with its interval."""
+
+    object: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """A method and its points.
+
+    Attributes:
+        label: its title, with its sign and its M.
+        is_reference: whether it was made from the labels.
+        points: one per object that it says something of.
+    """
+
+    label: str
+    is_reference: bool
+    points: tuple[Point, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """What a picture shows.
+
+    Attributes:
+        name: of its file.
+        axis: the metric, in words, with an arrow to the better side.
+        objects: from the top down.
+        series: in the order of the legend.
+    """
+
+    name: str
+    axis: str
+    objects: tuple[str, ...]
+    series: tuple[Series, ...]
+
+    @property
+    def digest(self) -> str:
+        """A SHA-256 of what is shown; the picture's file names it, so that it can be compared on any machine."""
+        return hashlib.sha256(repr(self).encode()).hexdigest()
+
+
+def picture_name(folder: str, track: str) -> str:
+    """Return the name of the picture of a set's track."""
+    return f"leaderboard-{folder}-{track}.svg"
+
+
+def pictures_of(board: Leaderboard) -> list[Picture]:
+    """Return the pictures of a leaderboard: of each set and track that has results."""
+    made = []
+    for folder in board.sets:
+        tables = tables_of(board, folder)
+        for track in dict.fromkeys(table.track for table in tables if table.has_results):
+            alike = [table for table in tables if table.track == track]
+            metric = alike[0].metrics[0]
+            objects = tuple(table.object for table in alike)
+            axis = f"{metric.title}{metric.arrow}"
+            made.append(Picture(name=picture_name(folder, track), axis=axis, objects=objects, series=_series(alike)))
+    return made
+
+
+def _series(tables: Sequence[Table]) -> tuple[Series, ...]:
+    """Return the methods of a track's tables, the best mean place first, and the references after them."""
+    rows: dict[tuple[bool, str], dict[str, Row]] = {}
+    places: dict[tuple[bool, str], list[int]] = {}
+    for table in tables:
+        for place, row in enumerate(table.rows):
+            key = _key(row)
+            rows.setdefault(key, {})[table.object] = row
+            places.setdefault(key, []).append(place)
+    in_order = sorted(rows, key=lambda key: (key[0], sum(places[key]) / len(places[key]), key[1]))
+    metric = tables[0].metrics[0].name
+    return tuple(
+        Series(label=_label(rows[key]), is_reference=key[0], points=_points(rows[key], metric)) for key in in_order
+    )
+
+
+def _key(row: Row) -> tuple[bool, str]:
+    return row.is_reference, row.name
+
+
+def _label(rows: Mapping[str, Row]) -> str:
+    first = next(iter(rows.values()))
+    title = "".join(c for c in " ".join(first.title.split()) if c.isprintable())
+    title = title if len(title) <= _LONGEST_LABEL else f"{title[:_LONGEST_LABEL]}.."
+    counts = sorted({row.facts[COUNT] for row in rows.values() if COUNT in row.facts})
+    sign = f"{Mark.EXACT.value} " if any(Mark.EXACT in row.marks for row in rows.values()) else ""
+    return f"{sign}{title} (M = {', '.join(map(str, counts))})" if counts else f"{sign}{title}"
+
+
+def _points(rows: Mapping[str, Row], metric: str) -> tuple[Point, ...]:
+    found = ((name, row.figures[metric]) for name, row in rows.items())
+    return tuple(
+        Point(object=name, value=f.value, low=f.low, high=f.high) for name, f in found if not math.isnan(f.value)
+    )
+
+
+def draw(picture: Picture, folder: Path) -> None:
+    """Write a picture into a folder, as SVG: objects from the top down, methods below each other, the legend outside.
+
+    Raises:
+        OutputError: it cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    count = len(picture.series)
+    height = _MARGIN_INCHES + len(picture.objects) * (count + 1) * _ROW_INCHES + count * _LEGEND_INCHES
+    figure = new_figure(figsize=(_WIDTH_INCHES, height), layout="constrained")
+    axes = figure.add_subplot()
+    for number, (series, style) in enumerate(zip(picture.series, _styles(picture.series), strict=True)):
+        values = [point.value for point in series.points]
+        rows = [picture.objects.index(point.object) * (count + 1) + number for point in series.points]
+        below = [point.value - point.low for point in series.points]
+        above = [point.high - point.value for point in series.points]
+        label = label_text(series.label)
+        axes.errorbar(values, rows, xerr=[below, above], linestyle="none", label=label, **style)
+    middles = [number * (count + 1) + (count - 1) / 2 for number in range(len(picture.objects))]
+    axes.set(xlabel=picture.axis, ylim=(len(picture.objects) * (count + 1) - 1, -1))
+    axes.set_yticks(middles, [label_text(name) for name in picture.objects])
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=True, axis="x", color="0.9", linewidth=0.6)
+    for number in range(1, len(picture.objects)):
+        axes.axhline(number * (count + 1) - 1, color="0.8", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    figure.legend(loc="outside lower left", fontsize=9, frameon=False, ncols=1, handletextpad=0.4, borderpad=0.1)
+    write_figure(figure, folder / picture.name, description=f"shows {picture.digest}")
+
+
+def _or(value: float, otherwise: float) -> float:
+    return otherwise if math.isnan(value) else value
+
+
+def _styles(series: Sequence[Series]) -> Iterator[dict[str, Any]]:
+    """Yield how each is drawn: results in colours, references in grey."""
+    common = {"markersize": 5, "elinewidth": 1.2, "capsize": 0}
+    numbers = {False: 0, True: 0}
+    for one in series:
+        number = numbers[one.is_reference]
+        numbers[one.is_reference] += 1
+        marker = _MARKERS[(number + 3 * (number // len(SERIES))) % len(_MARKERS)]  # 63 pairs with a colour
+        colour = _GREY if one.is_reference else SERIES[number % len(SERIES)]
+        yield {**common, "color": colour, "marker": marker, **({"mfc": "white"} if one.is_reference else {})}
+
+
+def faults_of_picture(picture: Picture, folder: Path) -> Iterator[str]:
+    """Say why a picture's file does not show what it should; how a library drew it does not matter."""
+    path = folder / picture.name
+    if not path.is_file():
+        yield f"{path}: is missing"
+    elif f"shows {picture.digest}" not in path.read_text(encoding="utf-8", errors="replace"):
+        yield f"{path}: shows other figures than the files give"
