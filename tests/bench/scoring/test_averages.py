@@ -132,6 +132,14 @@ def test_draws_are_2000_samples_with_replacement_that_depend_on_the_count_alone(
     assert np.abs(first.mean(axis=0) - 1).max() < 0.1
 
 
+def test_draws_stay_the_same_for_good_however_many_are_made_at_once(monkeypatch):
+    drawn = np.concatenate(list(averages._draws(7)))
+    assert drawn[:2].tolist() == [[1, 1, 1, 1, 2, 0, 1], [1, 0, 1, 1, 1, 1, 2]]  # else every interval changes
+    for at_once in (300, 2000, 3000):
+        monkeypatch.setattr(averages, "_DRAWS_AT_ONCE", at_once)
+        np.testing.assert_array_equal(np.concatenate(list(averages._draws(7))), drawn)
+
+
 def test_intervals_of_normal_samples_hold_the_mean_95_times_in_100_and_are_as_wide_as_theory_says():
     images, samples = 200, 400
     rng = np.random.default_rng(1)

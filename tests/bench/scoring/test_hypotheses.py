@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from messy_predictions import messy_weights
 from scoring_oracle import ANGLES_DEG
 
-from symsol_annot.bench.scoring.scorers.hypotheses import F_UNWEIGHTED
+from symsol_annot.bench.scoring.scorers.hypotheses import F_UNWEIGHTED, HYPOTHESES_SCORING
 from symsol_annot.rotations.so3 import uniform_rotations
 
 
@@ -145,3 +145,15 @@ def test_weights_count_by_their_ratios_whatever_their_scale():
     expected = score_hypotheses(truth, hypotheses, weights)
     for scale in (2.0**1021, 2.0**-1074):
         assert_same_table(expected, score_hypotheses(truth, hypotheses, weights * scale))
+
+
+@pytest.mark.parametrize(("group_name", "is_round"), [("tet", False), ("cone", True)])
+def test_errors_to_arcs_are_those_of_bodies_with_circles_alone(group_name, is_round):
+    truth = hand_made(group_name, 2, np.random.default_rng(11))
+    values = score_hypotheses(truth, truth.labels.rotation[:, None]).values
+    assert ("precision_mean_error_continuous_rad" in values) == is_round
+
+
+@pytest.mark.parametrize(("count", "faults"), [(0, 1), (1, 0), (True, 1), ("9", 1)])
+def test_a_result_of_one_hypothesis_is_one_and_of_none_is_a_fault(count, faults):
+    assert len(list(HYPOTHESES_SCORING.faults_of_facts({"M": count}))) == faults
