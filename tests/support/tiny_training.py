@@ -5,6 +5,7 @@ from torch import nn
 from symsol_annot.bench.models.kinds import Recipe
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRecipe
 from symsol_annot.bench.models.methods.mixture.recipe import MixtureRecipe
 from symsol_annot.bench.models.networks import resnet
 from symsol_annot.bench.models.networks.backbones import BACKBONES, Backbone
@@ -55,5 +56,11 @@ CLASSIFIER = ClassifierRecipe(
     frozen_epochs=2,
 )
 MIXTURE = MixtureRecipe(**_COMMON, structure="free", components=3, members=4)
-RECIPES: dict[str, Recipe] = {"hypotheses": HYPOTHESES, "classifier": CLASSIFIER, "mixture": MIXTURE}
+IMPLICIT_PDF = ImplicitPdfRecipe(**_COMMON, queries=16)
+RECIPES: dict[str, Recipe] = {
+    "hypotheses": HYPOTHESES,
+    "classifier": CLASSIFIER,
+    "mixture": MIXTURE,
+    "implicit-pdf": IMPLICIT_PDF,
+}
 CPU = Options(device="cpu")

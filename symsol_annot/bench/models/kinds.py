@@ -6,10 +6,11 @@ from typing import TypeAlias
 
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
+from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRecipe
 from symsol_annot.bench.models.methods.method import Method
 from symsol_annot.bench.models.methods.mixture.recipe import MixtureRecipe
 
-Recipe: TypeAlias = HypothesisRecipe | ClassifierRecipe | MixtureRecipe
+Recipe: TypeAlias = HypothesisRecipe | ClassifierRecipe | MixtureRecipe | ImplicitPdfRecipe
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,14 @@ MODEL_KINDS = {
             tracks=("hypotheses", "classifier", "density"),
             best_by="log_likelihood_at_gt",
             module=f"{_METHODS}.mixture.method",
+        ),
+        ModelKind(
+            name="implicit-pdf",
+            title="Implicit-PDF",
+            recipe=ImplicitPdfRecipe,
+            tracks=("density",),
+            best_by="log_likelihood_at_gt",
+            module=f"{_METHODS}.implicit_pdf.method",
         ),
     )
 }
