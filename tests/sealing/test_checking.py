@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import h5py
 import pytest
-from sealed_tests import IMAGES, everything_in, sealed_test, workers
+from sealed_tests import IMAGES, everything_in, plan_to_seal, sealed_test, software, workers
 from tampering import put, reseal, tampered
 
 from symsol_annot.errors import DataError, SealError
+from symsol_annot.sealing import making
 from symsol_annot.sealing.checking import check, revealed_secret
 from symsol_annot.sealing.secret import read_secret
 from symsol_annot.sets.dataset import load
@@ -70,6 +71,15 @@ def test_one_image_that_was_exchanged_is_found(folder, seed, tmp_path):
         put(file, "image", image)
     found = checked(folder / "public", seed, tmp_path / "checked")
     assert found.other_images == ("test-00001-of-00002.h5",)
+
+
+def test_other_software_at_the_check_is_named_and_no_fault_by_itself(tmp_path):
+    made = tmp_path / "made"
+    making.seal(plan_to_seal(), {**software(), "renderer": "another", "mesa": "22"}, made)
+    test = making.render(made, workers(), None)  # as if that other software had drawn the same pixels
+    found = checked(made / "public", test.secret.settings.seed, tmp_path / "checked")
+    assert found.other_software == ("mesa: sealed for 22, here None", "renderer: sealed for another, here numpy")
+    assert found.other_images == ()
 
 
 def test_a_commitment_of_another_test_beside_the_images_is_named(folder, seed, tmp_path):
