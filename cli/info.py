@@ -7,7 +7,7 @@ from symsol_annot_cli.parameters import SET_FOLDER, example
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.sets.manifest import read_manifest
-from symsol_annot.sets.settings import ImportedSettings, RenderedSettings
+from symsol_annot.sets.settings import ImportedSettings, RenderedSettings, SealedSettings, seed_to_json
 from symsol_annot.sets.shard.layout import NEWEST
 from symsol_annot.sets.statistics import SplitStatistics, sizes_in_words, split_statistics
 from symsol_annot.system.text.names import SPLITS
@@ -20,6 +20,8 @@ def info(folder: Path) -> None:
     manifest = read_manifest(folder)
     if manifest.is_imported:
         _print_source(manifest.imported)
+    elif manifest.is_sealed:
+        _print_seal(manifest.sealed)
     else:
         _print_drawing(manifest.rendered)
     older = "" if manifest.format_version == NEWEST else f", which is read for good; {NEWEST} is what is written today"
@@ -31,16 +33,25 @@ def info(folder: Path) -> None:
             finished = sum(entry.is_finished for entry in manifest.of_split(split))
             shards = f"{finished} of {len(manifest.of_split(split))} shards"
             say(f"\n{split}: {manifest.images(split)} images, {shards}")
-            _print_statistics(split_statistics(folder, manifest, split))
+            _print_statistics(split_statistics(folder, manifest, split), is_sealed=manifest.is_sealed)
             say(f"  fingerprint {manifest.split_fingerprint(split) or 'none yet: shards of the split are missing'}")
 
 
 def _print_drawing(settings: RenderedSettings) -> None:
     """Say how the images of a rendered set were drawn."""
+    camera, seed = settings.camera, seed_to_json(settings.seed)
+    say(f"object       {settings.object} ({settings.object_sha256[:16]})")
+    say(f"images       {camera.width}x{camera.height}, engine {settings.render.engine}, seed {seed}")
+    say(f"maps         segmentation into {', '.join(settings.parts)}; {'depth' if settings.has_depth else 'no depth'}")
+    say(f"camera       distance {camera.distance:g}, focal length {camera.focal_px:.2f} px")
+
+
+def _print_seal(settings: SealedSettings) -> None:
+    """Say what is known of a sealed set."""
     camera = settings.camera
     say(f"object       {settings.object} ({settings.object_sha256[:16]})")
-    say(f"images       {camera.width}x{camera.height}, engine {settings.render.engine}, seed {settings.seed}")
-    say(f"maps         segmentation into {', '.join(settings.parts)}; {'depth' if settings.has_depth else 'no depth'}")
+    say(f"images       {camera.width}x{camera.height}, engine {settings.render.engine}; sealed: no labels")
+    say(f"commitment   {settings.commitment}")
     say(f"camera       distance {camera.distance:g}, focal length {camera.focal_px:.2f} px")
 
 
@@ -52,7 +63,7 @@ def _print_source(settings: ImportedSettings) -> None:
     say(f"images       {settings.width}x{settings.height}; camera, seed, segmentation and marking unknown")
 
 
-def _print_statistics(statistics: SplitStatistics) -> None:
+def _print_statistics(statistics: SplitStatistics, *, is_sealed: bool) -> None:
     images = statistics.images
     if not images:
         return
@@ -60,7 +71,8 @@ def _print_statistics(statistics: SplitStatistics) -> None:
         shown = statistics.shown
         say(f"  marking shows in {shown} of {images} ({100 * shown / images:.1f}%)")
     if not statistics.is_annotated:
-        say("  without symmetry sets" + (": none are known" if statistics.is_imported else ""))
+        why = ": they are sealed" if is_sealed else ": none are known" if statistics.is_imported else ""
+        say(f"  without symmetry sets{why}")
         return
     say(f"  |S|: {sizes_in_words(statistics.set_sizes)}")
     if statistics.has_marking:

@@ -16,9 +16,19 @@ from symsol_annot.system.files import write_atomically
 @click.command(epilog=example("symsol-annot score preds.h5 --json scores.json"))
 @PREDICTIONS
 @DATA
+@click.option(
+    "--secret",
+    "secrets",
+    metavar="FILE",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="The secret of a sealed test, beside its labels; may be repeated.",
+)
 @click.option("--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Write all figures here.")
 @click.option("--per-image", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write a CSV here.")
-def score(paths: tuple[Path, ...], data: Path, json_path: Path | None, csv_path: Path | None) -> None:
+def score(
+    paths: tuple[Path, ...], data: Path, secrets: tuple[Path, ...], json_path: Path | None, csv_path: Path | None
+) -> None:
     """Score predictions: recall, precision and F-measure, with intervals, by stratum.
 
     Several files, one per object, give the benchmark's table.
@@ -28,13 +38,15 @@ def score(paths: tuple[Path, ...], data: Path, json_path: Path | None, csv_path:
         raise click.UsageError("--json and --per-image each need a file of their own, which is none of the predictions")
     scores = []
     for path in paths:
-        with open_predictions(path, data) as predictions:
+        with open_predictions(path, data, secrets) as predictions:
             rows = len(predictions.readers) * len(predictions.truth)
             with progress_bar(rows, "row") as bar:
                 bar.set_description(printable(path.name))
                 scores.append(score_predictions(predictions, bar.update))
     document = report.to_document(scores)
     say(report.tables(document))
+    if outputs and any(made.truth.is_sealed for made in scores):
+        say("Warning: figures of single images tell labels: of a sealed test, send back the table alone", err=True)
     if json_path:
         write_atomically(json_path, report.to_json(document).encode())
     if csv_path:

@@ -22,7 +22,7 @@ def validate(paths: tuple[Path, ...], data: Path) -> None:
             with open_predictions(path, data) as predictions:
                 predictions.check()
                 tracks = ", ".join(reader.name for reader in predictions.readers)
-                say(f"{path}: valid; {predictions.truth.object}, {len(predictions.truth)} images: {tracks}")
+                say(f"{path}: valid; {predictions.about.object}, {len(predictions.about)} images: {tracks}")
         except SymsolError as error:
             say(f"Error: {error}", err=True)
             is_good = False

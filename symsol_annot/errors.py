@@ -8,7 +8,8 @@
     ├── DataError               a shard, a manifest or a folder of them is missing or damaged
     │   ├── DamageError             a chunk's bytes, or what HDF5 says of a file in its child process
     │   ├── DifferentSetError   the output folder already holds another set
-    │   └── NotAnnotatedError   symmetry sets asked of a split that was rendered without
+    │   ├── NotAnnotatedError   symmetry sets asked of a split that was rendered without
+    │   └── SealError               a sealed test's secret is missing, damaged, or another test's
     ├── PredictionsError        a predictions file is broken, or about another set
     ├── ScoresError             a scores file is broken, or cannot be compared with another
     ├── ModelError              a model was given what it cannot take
@@ -102,6 +103,10 @@ class DifferentSetError(DataError):
 
 class NotAnnotatedError(DataError):
     """Symmetry sets were asked of a split that was rendered without them."""
+
+
+class SealError(DataError):
+    """A sealed test's secret is missing, damaged or another test's, or what it seals is not as it says."""
 
 
 class PredictionsError(SymsolError):

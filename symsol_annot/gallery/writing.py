@@ -153,7 +153,7 @@ def _describe(source: Source, redrawn: Document) -> Document:
         "images_of_split": len(truth),
         "width": width,
         "height": height,
-        "has_segmentation": not source.dataset.manifest.is_imported,
+        "has_segmentation": bool(source.dataset.parts),
         "group_order": len(truth.labels.symmetry_group),
         "group": packed(rotation_to_quat_wxyz(truth.labels.symmetry_group), "f4"),
         "stratum": packed(codes[:shown], "u1"),

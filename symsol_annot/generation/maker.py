@@ -35,6 +35,11 @@ class MadeShard:
     worker: str
 
 
+def software_of(renderer: Renderer) -> dict[str, str]:
+    """Return the software that decides the bytes of a shard: name to version."""
+    return {"symsol-annot": __version__, **storage_versions(), **renderer.versions}
+
+
 class ShardMaker:
     """Makes the shards of a plan with one renderer.
 
@@ -81,7 +86,7 @@ class ShardMaker:
     def _made(self, entry: ShardEntry, on_shard_images: OnShardImages) -> MadeShard:
         manifest, group = self._plan.manifest(), self._plan.spec.symmetry_group
         annotated = manifest.is_annotated(entry.split)
-        versions = {"symsol-annot": __version__, **storage_versions(), **self._renderer.versions}
+        versions = software_of(self._renderer)
         counts = {"candidates_drawn": 0, "candidates_within_tolerance": 0}
         with ShardWriter(manifest.header(entry, versions), entry.images, group, annotated=annotated) as writer:
             for made in range(entry.images):

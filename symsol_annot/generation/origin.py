@@ -17,12 +17,15 @@ def plan_behind(folder: Path, manifest: Manifest, given: ObjectSpec | None = Non
         given: the object, where it is not built in.
 
     Raises:
-        DataError: the set was imported, or its object is not built in and was not given, or is another one here.
+        DataError: the set was imported or is sealed, or its object is not built in and was not given, or is another
+            one here.
     """
     if manifest.is_imported:
         raise DataError(
             f"{folder}: was imported, so it cannot be drawn again; `symsol-annot import-symsol` makes it anew"
         )
+    if manifest.is_sealed:
+        raise DataError(f"{folder}: is sealed, so it can be drawn again by whoever has its secret alone; fetch it anew")
     name = manifest.settings.object
     if given and given.name == name:
         spec = given

@@ -74,6 +74,8 @@ def _faults_of(found: PublishedSet) -> list[str]:
         faults.append(f"{GROUPS_CONFIG!r} is the name of something else in a bundle; rename the folder")
     if found.manifest.is_imported:
         faults.append("was imported from elsewhere, under its own licence; pass on its source instead")
+    if found.manifest.is_sealed:
+        faults.append("is sealed: it has no labels to describe; publish its folder as it is (docs/sealed.md)")
     if not found.manifest.is_finished:
         missing = sum(not entry.is_finished for entry in found.manifest.shards)
         faults.append(f"is not finished: {missing} shards are missing; the same render command makes them")

@@ -41,16 +41,17 @@ class Sample:
         index: within the split.
         image: (H, W, 3) u8 RGB.
         segmentation: (H, W) u8: 0 background, 1 body, 2 marking, as `Dataset.parts` names them. None in an imported
-            set, which has none.
-        rotation: (3, 3) f8, R_m2c, the rotation that the image was drawn at.
+            or a sealed set, which has none.
+        rotation: (3, 3) f8, R_m2c, the rotation that the image was drawn at; NaN in a sealed set, which does not say.
         marking_pixels: the marking's visible area in pixels, p(R_m2c); or the largest p of the coset R_m2c H, where
-            that reaches the object's tolerance and p(R_m2c) does not. 0 without a marking, NaN in an imported set.
+            that reaches the object's tolerance and p(R_m2c) does not. 0 without a marking, NaN in an imported or a
+            sealed set.
         marking_visible: whether that is at least the object's tolerance; False without a marking, None in an imported
-            set.
+            or a sealed set.
         symmetry_mask: (G,) bool over `symmetry_group`, or None where the split has no symmetry sets.
         symmetry_group: (G, 3, 3) f8, the body's symmetries.
-        part_pixels: (P,) f4, the visible area in pixels of each of `Dataset.parts`; None in an imported set, and in one
-            of format version 1, which does not say.
+        part_pixels: (P,) f4, the visible area in pixels of each of `Dataset.parts`; None in an imported or a sealed
+            set, and in one of format version 1, which does not say.
         depth: (H, W) f4, how far along the camera's axis what is seen at each pixel's centre lies from the camera, in
             bounding-sphere radii, 0 at the background; None in a set without depth.
     """
@@ -79,8 +80,9 @@ class Sample:
             NotAnnotatedError: the split has no symmetry sets.
         """
         if self.symmetry_mask is None:
-            is_imported = self.segmentation is None
-            raise NotAnnotatedError(f"image {self.index} has no symmetry set: its split {_without_sets(is_imported)}")
+            is_sealed = not np.isfinite(self.rotation).all()
+            why = _without_sets(is_imported=self.segmentation is None, is_sealed=is_sealed)
+            raise NotAnnotatedError(f"image {self.index} has no symmetry set: its split {why}")
         return SymmetrySet(self.rotation, self.symmetry_group, self.symmetry_mask)
 
 
@@ -206,7 +208,8 @@ class Dataset(Closing, Sequence[Sample]):
             DataError: a shard is missing or damaged.
         """
         if not self.is_annotated:
-            without_sets = _without_sets(self.manifest.is_imported)
+            manifest = self.manifest
+            without_sets = _without_sets(is_imported=manifest.is_imported, is_sealed=manifest.is_sealed)
             raise NotAnnotatedError(f"{self.folder}: the {self.split} split {without_sets}")
         rows = list(self._rows)
         shards = [self._labels_of(number) for number in range(len(self._entries))]
@@ -299,7 +302,9 @@ class _Shard:
         self._path, self._identity, self._first_index = shard.path, shard.file.identity, first_index
         self._tolerance_px = shard.tolerance_px
         self._image, self._segmentation, self._depth = shard.image, shard.segmentation, shard.depth
-        self._rotation, self._mask, self._part_pixels = labels.rotation, labels.symmetry_mask, labels.part_pixels
+        self._mask, self._part_pixels = labels.symmetry_mask, labels.part_pixels
+        sealed = np.full((len(shard), 3, 3), np.nan)
+        self._rotation = sealed if labels.rotation is None else labels.rotation
         unknown = np.full(len(shard), np.nan, dtype=np.float32)
         self._pixels = unknown if labels.marking_pixels is None else labels.marking_pixels
         self.symmetry_group = labels.symmetry_group
@@ -317,7 +322,7 @@ class _Shard:
 
     def sample(self, index: int, file: ByteFile) -> Sample:
         row = index - self._first_index
-        pixels, is_imported = float(self._pixels[row]), self._segmentation is None
+        pixels, has_areas = float(self._pixels[row]), self._segmentation is not None
         try:
             return Sample(
                 index=index,
@@ -325,7 +330,7 @@ class _Shard:
                 segmentation=None if self._segmentation is None else self._segmentation.row(row, file),
                 rotation=self._rotation[row].copy(),
                 marking_pixels=pixels,
-                marking_visible=None if is_imported else pixels >= self._tolerance_px,  # False where that is NaN
+                marking_visible=pixels >= self._tolerance_px if has_areas else None,  # False where that is NaN
                 symmetry_mask=None if self._mask is None else self._mask[row].copy(),
                 symmetry_group=self.symmetry_group,
                 part_pixels=None if self._part_pixels is None else self._part_pixels[row].copy(),
@@ -347,8 +352,10 @@ class _Shard:
         return columns if self._part_pixels is None else {**columns, "part_pixels": self._part_pixels}
 
 
-def _without_sets(is_imported: bool) -> str:  # noqa: FBT001
+def _without_sets(*, is_imported: bool, is_sealed: bool) -> str:
     """Say why a split has no symmetry sets."""
+    if is_sealed:
+        return "is sealed: its labels are with whoever has its secret (docs/sealed.md)"
     if is_imported:
         return "was imported from a source that gives no symmetry sets for it: none are known"
     return "was rendered without symmetry sets; `symsol-annot render --annotate all` gives every split its sets"
@@ -375,8 +382,10 @@ def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = T
     entries = manifest.of_split(split)
     missing = [entry.file for entry in entries if not entry.is_finished or not (path / entry.file).is_file()]
     if missing:
+        command = "import-symsol" if manifest.is_imported else "render"
+        remedy = f"the same `symsol-annot {command}` command makes them"
         raise DataError(
             f"{path}: {len(missing)} of {len(entries)} {split} shards are missing, the first {missing[0]}; "
-            f"the same `symsol-annot {'import-symsol' if manifest.is_imported else 'render'}` command makes them"
+            f"{'fetch them again' if manifest.is_sealed else remedy}"
         )
     return Dataset(path, split, manifest, check=check)

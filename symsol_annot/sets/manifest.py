@@ -15,6 +15,7 @@ from symsol_annot.errors import DataError, SettingsError
 from symsol_annot.sets.settings import (
     ImportedSettings,
     RenderedSettings,
+    SealedSettings,
     SetSettings,
     is_sha256,
     is_whole,
@@ -110,12 +111,30 @@ class Manifest:
         return isinstance(self.settings, ImportedSettings)
 
     @property
+    def is_sealed(self) -> bool:
+        """Whether the set has the images of a sealed test alone, whose labels nobody knows who lacks its secret."""
+        return isinstance(self.settings, SealedSettings)
+
+    @property
+    def sealed(self) -> SealedSettings:
+        """The settings of a sealed set.
+
+        Raises:
+            DataError: the set is no sealed one.
+        """
+        if not isinstance(self.settings, SealedSettings):
+            raise DataError(f"{self.settings.object}: is no sealed set; `symsol-annot seal render` makes one")
+        return self.settings
+
+    @property
     def rendered(self) -> RenderedSettings:
         """The settings of a rendered set.
 
         Raises:
-            DataError: the set was imported, so how its images were drawn is not known.
+            DataError: the set was imported or is sealed, so how its images were drawn is not known.
         """
+        if self.is_sealed:
+            raise DataError(f"{self.settings.object}: is a sealed set: the seed of its images is secret")
         if not isinstance(self.settings, RenderedSettings):
             raise DataError(f"{self.settings.object}: is an imported set: how its images were drawn is not known")
         return self.settings

@@ -12,7 +12,7 @@ from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations, uniform_rotations
 from symsol_annot.sets.manifest import Manifest, ShardEntry
-from symsol_annot.sets.settings import ANNOTATE_CHOICES, MAX_SEED, RenderedSettings
+from symsol_annot.sets.settings import ANNOTATE_CHOICES, MAX_SECRET_SEED, RenderedSettings
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, shard_file_name
 from symsol_annot.system.text.names import SPLITS
 
@@ -49,8 +49,8 @@ class SetPlan:
             raise SettingsError(f"splits: expected {', '.join(SPLITS)}, found {', '.join(self.images)}")
         if self.annotate not in ANNOTATE_CHOICES:
             raise SettingsError(f"annotate: expected one of {', '.join(ANNOTATE_CHOICES)}, found {self.annotate!r}")
-        if not 0 <= self.seed <= MAX_SEED:
-            raise SettingsError(f"seed: expected 0 to {MAX_SEED}, found {self.seed}")
+        if not 0 <= self.seed <= MAX_SECRET_SEED:
+            raise SettingsError(f"seed: expected 0 to {MAX_SECRET_SEED}, found {self.seed}")
 
     @classmethod
     def behind(cls, manifest: Manifest, spec: ObjectSpec) -> "SetPlan":
@@ -98,7 +98,10 @@ def _shards(split: str, images: int, fitting: int) -> Iterator[ShardEntry]:
 
 
 def label_rotation(seed: int, object_name: str, split: str, index: int) -> Rotations:
-    """Return the rotation (3, 3) of one image: uniform on SO(3), from these four values alone."""
+    """Return the rotation (3, 3) of one image: uniform on SO(3), from these four values alone.
+
+    An image's rotation tells nothing of another's to whoever does not know the seed, since SHA-256 is between them.
+    """
     key = hashlib.sha256(f"{seed}/{object_name}/{split}/{index}".encode()).digest()
     rng = np.random.Generator(np.random.Philox(key=np.frombuffer(key[:16], dtype="<u8")))
     return uniform_rotations(1, rng)[0]

@@ -6,6 +6,7 @@ They are stated once, here. The manifest, the attributes of a shard and the plan
 import math
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -15,17 +16,22 @@ from symsol_annot.system.text.names import is_object_name
 
 ANNOTATE_CHOICES = ("all", "test", "none")
 MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
+SECRET_SEED_BITS = 128  # of a sealed test; a seed beyond MAX_SEED is stored as a text of 32 hexadecimal digits
+MAX_SECRET_SEED = 2**SECRET_SEED_BITS - 1
 _MAX_LISTED = 2**31
 _SHA256 = re.compile(r"[0-9a-f]{64}")
+_SECRET_SEED = re.compile(r"[0-9a-f]{32}")
 _SOURCE_NAME_CHARACTERS = 200
 _UNKNOWN_WHERE_IMPORTED = ("object_sha256", "seed", "render", "tolerance_px")
 _RENDERED_KEYS = {"object", "object_sha256", "seed", "camera", "render", "tolerance_px", "annotate"}
 _IMPORTED_KEYS = {*_RENDERED_KEYS, "source"}
+_SEALED_KEYS = {*_RENDERED_KEYS, "commitment"}
+_UNKNOWN_WHERE_SEALED = ("seed", "tolerance_px")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetSettings(ABC):
-    """What is known of every set, rendered or imported.
+    """What is known of every set, rendered, imported or sealed.
 
     Attributes:
         object: the object's name.
@@ -107,11 +113,63 @@ class RenderedSettings(SetSettings):
         return {
             "object": self.object,
             "object_sha256": self.object_sha256,
-            "seed": self.seed,
+            "seed": seed_to_json(self.seed),
             "camera": self.camera.to_dict(),
             "render": self.render.to_dict(),
             "tolerance_px": self.tolerance_px,
             "annotate": self.annotate,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class SealedSettings(SetSettings):
+    """What anybody may know of a sealed set, which holds the images of a sealed test and no labels.
+
+    Attributes:
+        object_sha256: the digest of the object's files, as `ObjectSpec.digest`.
+        camera: what the object is seen through.
+        render: how it is drawn.
+        commitment: the SHA-256 of the sealed test's secret, published before the images are.
+        annotate: "none".
+    """
+
+    object_sha256: str
+    camera: Camera
+    render: RenderSettings
+    commitment: str
+    annotate: str = ANNOTATE_CHOICES[-1]
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of every image, in pixels."""
+        return self.camera.width, self.camera.height
+
+    @property
+    def has_marking(self) -> bool:
+        """False: which images show the marking is sealed."""
+        return False
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """None: which pixels are whose is sealed."""
+        return ()
+
+    @property
+    def has_depth(self) -> bool:
+        """False: depth maps are sealed."""
+        return False
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the settings as they stand in manifest.json, in the order of its keys; None for what is sealed."""
+        return {
+            "object": self.object,
+            "object_sha256": self.object_sha256,
+            "seed": None,
+            "camera": self.camera.to_dict(),
+            "render": self.render.to_dict(),
+            "tolerance_px": None,
+            "annotate": self.annotate,
+            "commitment": self.commitment,
         }
 
 
@@ -200,14 +258,33 @@ def settings_from_json(stated: dict[str, Any]) -> SetSettings:
         TypeError: the render settings are no table of all of them.
         SettingsError: a render setting makes no sense.
     """
-    is_imported = "source" in stated
-    _require(set(stated) == (_IMPORTED_KEYS if is_imported else _RENDERED_KEYS), "unknown fields")
+    made = next((made for mark, made in _MADE_BY_MARK.items() if mark in stated), _rendered)
+    _require(set(stated) == _KEYS[made], "unknown fields")
     _require(is_object_name(stated["object"]), "object")
     _require(type(stated["annotate"]) is str and stated["annotate"] in ANNOTATE_CHOICES, "annotate")
     camera = stated["camera"]
     _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
     _require(all(is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
-    return _imported(stated) if is_imported else _rendered(stated)
+    return made(stated)
+
+
+def seed_to_json(seed: int) -> int | str:
+    """Return a seed as files state it: as a number, or as 32 hexadecimal digits where it is beyond MAX_SEED."""
+    return seed if seed <= MAX_SEED else f"{seed:0{SECRET_SEED_BITS // 4}x}"
+
+
+def seed_from_json(stated: Any) -> int:
+    """Return the seed that `seed_to_json` gave.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if is_whole(stated, 0, MAX_SEED):
+        return int(stated)
+    _require(isinstance(stated, str) and _SECRET_SEED.fullmatch(stated) is not None, "seed")
+    seed = int(stated, 16)
+    _require(seed > MAX_SEED, "seed")
+    return seed
 
 
 def is_whole(value: Any, least: int, most: int) -> bool:
@@ -221,20 +298,39 @@ def is_sha256(value: Any) -> bool:
 
 
 def _rendered(stated: dict[str, Any]) -> RenderedSettings:
-    camera, tolerance_px = stated["camera"], stated["tolerance_px"]
-    _require(_is_real(camera["distance"]) and camera["distance"] > 1, "camera: its distance")
-    _require(_is_real(camera["focal_px"]) and camera["focal_px"] > 0, "camera: its focal length")
-    _require(is_sha256(stated["object_sha256"]), "object_sha256")
-    _require(is_whole(stated["seed"], 0, MAX_SEED), "seed")
+    tolerance_px = stated["tolerance_px"]
+    _require_drawn(stated)
     _require(tolerance_px is None or (_is_real(tolerance_px) and tolerance_px > 0), "tolerance_px")
     return RenderedSettings(
         object=stated["object"],
         object_sha256=stated["object_sha256"],
-        seed=stated["seed"],
-        camera=Camera(**camera),
+        seed=seed_from_json(stated["seed"]),
+        camera=Camera(**stated["camera"]),
         render=RenderSettings.from_dict(stated["render"]),
         tolerance_px=tolerance_px,
         annotate=stated["annotate"],
+    )
+
+
+def _require_drawn(stated: dict[str, Any]) -> None:
+    """Check what is known of all images that were drawn here."""
+    camera = stated["camera"]
+    _require(_is_real(camera["distance"]) and camera["distance"] > 1, "camera: its distance")
+    _require(_is_real(camera["focal_px"]) and camera["focal_px"] > 0, "camera: its focal length")
+    _require(is_sha256(stated["object_sha256"]), "object_sha256")
+
+
+def _sealed(stated: dict[str, Any]) -> SealedSettings:
+    _require(all(stated[name] is None for name in _UNKNOWN_WHERE_SEALED), "what is sealed")
+    _require(stated["annotate"] == ANNOTATE_CHOICES[-1], "annotate")
+    _require_drawn(stated)
+    _require(is_sha256(stated["commitment"]), "commitment")
+    return SealedSettings(
+        object=stated["object"],
+        object_sha256=stated["object_sha256"],
+        camera=Camera(**stated["camera"]),
+        render=RenderSettings.from_dict(stated["render"]),
+        commitment=stated["commitment"],
     )
 
 
@@ -254,6 +350,14 @@ def _imported(stated: dict[str, Any]) -> ImportedSettings:
         annotate=stated["annotate"],
         source=Source(**source),
     )
+
+
+_MADE_BY_MARK: dict[str, Callable[[dict[str, Any]], SetSettings]] = {"source": _imported, "commitment": _sealed}
+_KEYS: dict[Callable[[dict[str, Any]], SetSettings], set[str]] = {
+    _rendered: _RENDERED_KEYS,
+    _imported: _IMPORTED_KEYS,
+    _sealed: _SEALED_KEYS,
+}
 
 
 def _require(is_right: bool, what: str) -> None:  # noqa: FBT001

@@ -80,8 +80,9 @@ class SymsolDataset(TorchDataset[Item]):
         if layout not in LAYOUTS:
             raise SettingsError(f"layout: expected one of {', '.join(LAYOUTS)}, found {layout!r}")
         self.samples = source if isinstance(source, Dataset) else load(source, split)
-        if segmentation and self.samples.manifest.is_imported:
-            raise SettingsError(f"segmentation: {self.samples.folder} was imported, and has none")
+        if segmentation and not self.samples.parts:
+            why = "is sealed" if self.samples.manifest.is_sealed else "was imported"
+            raise SettingsError(f"segmentation: {self.samples.folder} {why}, and has none")
         if depth and not self.samples.has_depth:
             raise SettingsError(
                 f"depth: {self.samples.folder} has none; `symsol-annot render --depth` makes sets with it"

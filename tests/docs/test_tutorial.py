@@ -62,7 +62,7 @@ def python(text, names):
 
 
 @pytest.mark.blender
-@pytest.mark.parametrize("page", ["tutorial.md", "objects.md"])
+@pytest.mark.parametrize("page", ["tutorial.md", "objects.md", "sealed.md"])
 def test_a_page_runs_word_for_word_in_an_empty_folder(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     blocks = BLOCK.findall((ROOT / "docs" / page).read_text())

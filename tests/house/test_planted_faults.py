@@ -181,6 +181,30 @@ FAULTS = {
         "in_order[:] = probability",
         "bench/predictions/test_queries.py::test_unshuffle_puts_candidates_in_row_0_and_decoys_in_the_others_in_the_order_of_the_group",
     ),
+    "secret seed of half its bits": (
+        "symsol_annot/sealing/making.py",
+        "secrets.randbits(SECRET_SEED_BITS)",
+        "secrets.randbits(SECRET_SEED_BITS // 2)",
+        "sealing/test_secret.py::test_seeds_are_of_128_bits_and_no_two_are_alike",
+    ),
+    "any seed opens a commitment": (
+        "symsol_annot/sealing/secret.py",
+        "if secret.digest != self.digest:",
+        "if not secret.digest:",
+        "sealing/test_secret.py::test_a_seed_opens_its_own_commitment_and_no_other_does",
+    ),
+    "a count of the annotation published": (
+        "symsol_annot/sealing/images.py",
+        "header = manifest.header(entry, shard.versions)",
+        "header = manifest.header(entry, {**shard.versions, 'drawn': str(shard.candidates_drawn)})",
+        "sealing/test_images.py::test_other_labels_of_the_same_images_are_published_as_the_same_bytes",
+    ),
+    "labels of other images scored": (
+        "symsol_annot/sealing/labels.py",
+        "    refuse_other_images(sealed.manifest, sealed.folder, labelled.manifest, folder)\n",
+        "",
+        "bench/predictions/test_sealed_predictions.py::test_labels_of_other_images_are_refused",
+    ),
 }
 
 

@@ -1,7 +1,7 @@
 """A predictions file that is read: opened, checked against the truth that it is about, and its tracks."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.bench.predictions.structure import Structure, shown
 from symsol_annot.bench.predictions.tracks.table import TRACK_OF_DATASET, TRACKS
 from symsol_annot.bench.predictions.tracks.track import TrackReader
-from symsol_annot.bench.predictions.truth import Truth, read_truth
-from symsol_annot.errors import DataError, PredictionsError
+from symsol_annot.bench.predictions.truth import Subject, Truth, read_subject
+from symsol_annot.errors import DataError, PredictionsError, SealError
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.system.reading import file_sha256
 from symsol_annot.system.text.names import (
@@ -37,14 +37,14 @@ class Predictions:
         path: of the file.
         sha256: of the file, as hexadecimal; empty where it has faults, or `open_predictions` did not open it.
         method: what the method calls itself.
-        truth: of the object and split that it is about.
+        about: the split that it is about, with its truth where that is known.
         faults: found so far; complete once all tracks were gone through.
         readers: of those tracks that are there and can be read.
     """
 
-    def __init__(self, file: SandboxedFile, truth: Truth) -> None:
-        self.path, self.truth, self.sha256, self.faults = file.path, truth, "", FaultLog()
-        structure = Structure(file, truth, self.faults, TRACK_OF_DATASET)
+    def __init__(self, file: SandboxedFile, about: Subject) -> None:
+        self.path, self.about, self.sha256, self.faults = file.path, about, "", FaultLog()
+        structure = Structure(file, about, self.faults, TRACK_OF_DATASET)
         structure.has_attributes(FILE_ATTRIBUTES, THE_FILE)
         self.method = str(file.attributes.get("method", ""))
         if "method" in file.attributes and not is_method_name(self.method):
@@ -54,8 +54,25 @@ class Predictions:
         if not there:
             first = ", ".join(track.datasets[0] for track in TRACKS.values())
             self.faults.add(THE_FILE, f"has no track: none of the data sets {first}")
+        for track in there:
+            if fault := track.fault_of_sealing(about):
+                self.faults.add(track.name, fault)
         found = [track.reader(structure) for track in there]
         self.readers: tuple[TrackReader, ...] = tuple(reader for reader in found if reader.is_sound())
+
+    @property
+    def truth(self) -> Truth:
+        """Of the split that it is about.
+
+        Raises:
+            SealError: the split is sealed, and was opened without its secret.
+        """
+        if isinstance(self.about, Truth):
+            return self.about
+        raise SealError(
+            f"{self.about.folder}: is sealed, so predictions about it are scored by whoever has its secret alone: "
+            "`symsol-annot score --secret FILE` (docs/sealed.md)"
+        )
 
     def check(self) -> None:
         """Go through every track.
@@ -103,7 +120,9 @@ class Predictions:
 
 
 @contextmanager
-def open_predictions(path: str | os.PathLike[str], data: str | os.PathLike[str]) -> Iterator[Predictions]:
+def open_predictions(
+    path: str | os.PathLike[str], data: str | os.PathLike[str], secrets: Sequence[Path] = ()
+) -> Iterator[Predictions]:
     """Open a predictions file and the truth that it says it is about.
 
     The file's digest is taken once, here. A file that is changed or replaced before the `with` block ends is refused
@@ -112,16 +131,18 @@ def open_predictions(path: str | os.PathLike[str], data: str | os.PathLike[str])
     Args:
         path: of the predictions.
         data: a set's folder, or the folder of sets.
+        secrets: of sealed tests, for their truth.
 
     Raises:
         PredictionsError: it is no predictions file, or was changed meanwhile.
+        SealError: the set that it is about is sealed, and none of the secrets given is its own.
         DataError: the set that it is about is not there or damaged.
     """
     if found := mend_of_file(Path(path), _some_set(Path(data))):
         raise PredictionsError(str(path), [found])
     before = _identity(Path(path))
     with SandboxedFile(Path(path)) as file:
-        predictions = Predictions(file, read_truth(data, *_subject(file)))
+        predictions = Predictions(file, read_subject(data, *_subject(file), secrets))
         if fault := _excess(file):
             predictions.faults.add(THE_FILE, fault)
         if not predictions.faults:  # a file with faults is refused whatever its digest

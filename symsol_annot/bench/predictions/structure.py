@@ -22,7 +22,7 @@ from symsol_annot.bench.predictions.format import (
 )
 from symsol_annot.bench.predictions.queries import group_sha256
 from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
-from symsol_annot.bench.predictions.truth import Truth
+from symsol_annot.bench.predictions.truth import Subject
 from symsol_annot.errors import PredictionsError
 from symsol_annot.rotations.grid import grid_sha256
 from symsol_annot.system.sandbox.hdf5_process import DatasetFacts
@@ -44,27 +44,27 @@ def shown(value: Any) -> str:
 
 
 class Structure:
-    """A file's attributes and data sets, held against the format and the truth. Faults go to the log.
+    """A file's attributes and data sets, held against the format and the split. Faults go to the log.
 
     Attributes:
         file: the predictions file.
-        truth: what it is about.
+        about: the split that it is about.
         faults: where faults go.
         image_index: (N,) which image each row is about; None where that is broken.
     """
 
     def __init__(
-        self, file: SandboxedFile, truth: Truth, faults: FaultLog, track_of_dataset: Mapping[str, str]
+        self, file: SandboxedFile, about: Subject, faults: FaultLog, track_of_dataset: Mapping[str, str]
     ) -> None:
         """Check what the file's data sets are, and read its image index.
 
         Args:
             file: the predictions file.
-            truth: what it is about.
+            about: the split that it is about.
             faults: where faults go.
             track_of_dataset: name of a data set of the format to the name of its track.
         """
-        self.file, self.truth, self.faults = file, truth, faults
+        self.file, self.about, self.faults = file, about, faults
         self._track_of_dataset = track_of_dataset
         self._file_bytes = file.path.stat().st_size
         self._facts = {name: facts for name, facts in file.datasets.items() if self._is_readable(name, facts)}
@@ -98,7 +98,7 @@ class Structure:
             return self.file.read(name, start, stop).astype(np.float64)
 
     def has_attributes(self, expected: dict[str, type], track: str) -> bool:
-        """Check that attributes are there, of their types, and say what the truth says."""
+        """Check that attributes are there, of their types, and say what the split does."""
         found, right, before = self.file.attributes, self._right_attributes(), len(self.faults)
         for name, kind in expected.items():
             value, odd = found.get(name), self.file.odd_attributes.get(name)
@@ -122,13 +122,13 @@ class Structure:
 
     def _advice_on_fingerprint(self, found: str) -> str:
         """Say what a wrong fingerprint is of, and what to do."""
-        truth = self.truth
-        line = f"f.attrs['fingerprint'] = symsol_annot.load({truth.folder!r}, {truth.split!r}).fingerprint"
-        if found in truth.other_fingerprints:
-            return f"; that is {truth.other_fingerprints[found]}, where the {truth.split} split's belongs: {line}"
+        about = self.about
+        line = f"f.attrs['fingerprint'] = symsol_annot.load({about.folder!r}, {about.split!r}).fingerprint"
+        if found in about.other_fingerprints:
+            return f"; that is {about.other_fingerprints[found]}, where the {about.split} split's belongs: {line}"
         return (
             "; the file is about another data set, or another version of it: --data names the set that it is about, or "
-            f"predict the images of this one, whose fingerprint `symsol-annot info {truth.folder}` prints"
+            f"predict the images of this one, whose fingerprint `symsol-annot info {about.folder}` prints"
         )
 
     def _line(self, name: str, right: dict[str, Any]) -> str:
@@ -141,7 +141,7 @@ class Structure:
         if facts is None:
             if not self.has(name):
                 line = (
-                    f"; f[{name!r}] = range({len(self.truth)}) where rows are in order" if name == IMAGE_INDEX else ""
+                    f"; f[{name!r}] = range({len(self.about)}) where rows are in order" if name == IMAGE_INDEX else ""
                 )
                 self.faults.add(self._track_of(name), f"data set {name!r} is missing{line}")
             return False
@@ -152,7 +152,7 @@ class Structure:
             return self._is_contained(name, facts)
         wanted = f"{' or '.join(t[1:] for t in types)} of shape ({', '.join(map(str, shape))})"
         found = f"{facts.dtype[1:]} of shape {facts.shape}"
-        mend = mend_of_shape(name, facts.shape, facts.dtype, len(self.truth))
+        mend = mend_of_shape(name, facts.shape, facts.dtype, len(self.about))
         self.faults.add(self._track_of(name), f"{name!r}: expected {wanted}, found {found}{mend and f'; {mend}'}")
         return False
 
@@ -170,14 +170,14 @@ class Structure:
         return self._track_of_dataset.get(dataset, THE_FILE)
 
     def _right_attributes(self) -> dict[str, Any]:
-        truth, level = self.truth, self.file.attributes.get("grid_level")
+        about, level = self.about, self.file.attributes.get("grid_level")
         right = {
             "format": PREDICTIONS_FORMAT,
             "format_version": PREDICTIONS_FORMAT_VERSION,
-            "object": truth.object,
-            "split": truth.split,
-            "fingerprint": truth.fingerprint,
-            "group_sha256": group_sha256(truth.labels.symmetry_group),
+            "object": about.object,
+            "split": about.split,
+            "fingerprint": about.fingerprint,
+            "group_sha256": group_sha256(about.symmetry_group),
         }
         return {**right, "grid_sha256": grid_sha256(level)} if level is not None and is_level(level) else right
 
@@ -198,7 +198,7 @@ class Structure:
         return not reason
 
     def _read_image_index(self) -> npt.NDArray[np.int64] | None:
-        expected, split = len(self.truth), self.truth.split
+        expected, split = len(self.about), self.about.split
         if not self.is_shaped(IMAGE_INDEX, INTEGERS, ("N",)):
             return None
         count = self._facts[IMAGE_INDEX].shape[0]

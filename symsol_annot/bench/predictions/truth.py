@@ -1,17 +1,23 @@
-"""What predictions are held against: a split's symmetry sets, and its strata."""
+"""What predictions are held against: a split's symmetry sets, and its strata.
+
+Of a sealed split, which has no labels, anybody knows enough to write and to check predictions: it is a `Subject`.
+"""
 
 import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DataError, first_of
 from symsol_annot.rotations.nearest import Circles
+from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sealing.labels import labelled_split
 from symsol_annot.sets.dataset import Dataset, Labels, load
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.sets.manifest import Manifest, read_manifest
@@ -21,6 +27,68 @@ HARD_NEGATIVE_RAD = float(np.radians(5.0)) + 1e-9  # the slack is for labels, wh
 BARELY_PX = 20  # at an image size of 224; scaled by area
 _REFERENCE_AREA_PX = 224 * 224
 _SHOWN = 8  # sets, in a message
+
+
+class Subject(Protocol):
+    """A split that predictions are about, as far as a file of them is checked against it."""
+
+    @property
+    def object(self) -> str:
+        """The object's name."""
+
+    @property
+    def split(self) -> str:
+        """Whether it is "train" or "test"."""
+
+    @property
+    def fingerprint(self) -> str:
+        """The SHA-256 that names the split."""
+
+    @property
+    def other_fingerprints(self) -> Mapping[str, str]:
+        """Those that the split's may be mistaken for, to what they are of: the whole set, the other split."""
+
+    @property
+    def folder(self) -> str:
+        """Of the set, as the command line would name it; empty where it is not known."""
+
+    @property
+    def is_sealed(self) -> bool:
+        """Whether those who predict it have no labels."""
+
+    @property
+    def symmetry_group(self) -> Rotations:
+        """The (G, 3, 3) symmetries of the object's body, identity first."""
+
+    def __len__(self) -> int:
+        """How many images it has."""
+
+
+@dataclass(frozen=True, eq=False)
+class SealedSplit:
+    """A split whose labels are not known here.
+
+    Attributes:
+        object: the object's name.
+        split: "test".
+        fingerprint: of the split.
+        images: how many it has.
+        symmetry_group: (G, 3, 3), the body's symmetries, identity first.
+        other_fingerprints: as `Subject` has them.
+        folder: of the set.
+    """
+
+    object: str
+    split: str
+    fingerprint: str
+    images: int
+    symmetry_group: Rotations
+    other_fingerprints: Mapping[str, str]
+    folder: str
+    is_sealed = True
+
+    def __len__(self) -> int:
+        return self.images
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +105,7 @@ class Truth:
         other_fingerprints: those that the split's may be mistaken for, to what they are of: the whole set, the other
             split.
         folder: of the set, as the command line would name it; empty where it is not known.
+        is_sealed: whether those who predicted it had no labels; they are then of the sealed test's own set.
     """
 
     object: str
@@ -47,9 +116,15 @@ class Truth:
     labels: Labels
     other_fingerprints: Mapping[str, str] = field(default_factory=dict)
     folder: str = ""
+    is_sealed: bool = False
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    @property
+    def symmetry_group(self) -> Rotations:
+        """The (G, 3, 3) symmetries of the object's body, identity first."""
+        return self.labels.symmetry_group
 
     @property
     def set_sizes(self) -> npt.NDArray[np.int64]:
@@ -96,6 +171,43 @@ def truth_of(dataset: Dataset) -> Truth:
     )
 
 
+def subject_of(dataset: Dataset) -> Truth | SealedSplit:
+    """Return what predictions about a split are checked against: its truth or, where it is sealed, what is known of it.
+
+    Raises:
+        NotAnnotatedError: it is not sealed, and has no symmetry sets.
+        DataError: a shard is damaged.
+    """
+    if not dataset.manifest.is_sealed:
+        return truth_of(dataset)
+    return SealedSplit(
+        dataset.object,
+        dataset.split,
+        dataset.fingerprint,
+        len(dataset),
+        dataset.symmetry_group,
+        _other_fingerprints(dataset.manifest, dataset.split),
+        str(dataset.folder),
+    )
+
+
+def opened_truth(dataset: Dataset, secrets: Sequence[Path]) -> Truth:
+    """Return the truth of a sealed split, its labels from the set beside that of the secrets which is its own.
+
+    Raises:
+        SealError: none of the secrets is that of this sealed set, or the labels are not there or not of its images.
+        DataError: a shard is damaged.
+    """
+    with labelled_split(dataset, secrets) as labelled:
+        return replace(
+            truth_of(labelled),
+            fingerprint=dataset.fingerprint,
+            other_fingerprints=_other_fingerprints(dataset.manifest, dataset.split),
+            folder=str(dataset.folder),
+            is_sealed=True,
+        )
+
+
 def find_set(data: str | os.PathLike[str], object_name: str, split: str = "test", fingerprint: str = "") -> Path:
     """Return the folder of an object's set, whatever it is called: `data` itself where it is a set, else one in it.
 
@@ -129,14 +241,26 @@ def find_set(data: str | os.PathLike[str], object_name: str, split: str = "test"
     raise DataError(f"{folder}: holds no set of the object {object_name!r}: {_in_words(folder, manifests)}")
 
 
-def read_truth(data: str | os.PathLike[str], object_name: str, split: str, fingerprint: str = "") -> Truth:
-    """Read the truth of an object's split from the set under `data`, which `find_set` finds by the same arguments.
+def read_subject(
+    data: str | os.PathLike[str], object_name: str, split: str, fingerprint: str = "", secrets: Sequence[Path] = ()
+) -> Truth | SealedSplit:
+    """Read what predictions are about from the set under `data`, which `find_set` finds by the same arguments.
+
+    Args:
+        data: a set's folder, or the folder of sets.
+        object_name: the object's name.
+        split: "train" or "test".
+        fingerprint: of that split.
+        secrets: files of sealed tests' secrets, with which the truth of a sealed split is read; without, it is not.
 
     Raises:
-        DataError: there is no such set or split, or it is damaged or without symmetry sets.
+        DataError: there is no such set or split, or it is damaged or, not being sealed, without symmetry sets.
+        SealError: none of the secrets given is that of the sealed set.
     """
     with load(find_set(data, object_name, split, fingerprint), split) as dataset:
-        return truth_of(dataset)
+        if secrets and dataset.manifest.is_sealed:
+            return opened_truth(dataset, secrets)
+        return subject_of(dataset)
 
 
 def _manifest(folder: Path) -> Manifest | None:

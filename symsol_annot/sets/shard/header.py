@@ -5,8 +5,15 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from symsol_annot.sets.settings import ImportedSettings, RenderedSettings, SetSettings
-from symsol_annot.sets.shard.layout import LAYOUTS, NEWEST
+from symsol_annot.sets.settings import (
+    MAX_SEED,
+    ImportedSettings,
+    RenderedSettings,
+    SealedSettings,
+    SetSettings,
+    seed_to_json,
+)
+from symsol_annot.sets.shard.layout import FROM_SECRET, LAYOUTS, NEWEST, PARTS, RENDERED
 
 SHARD_FORMAT = "symsol-annot shard"
 MAX_IMAGES_PER_SHARD = 500
@@ -39,16 +46,22 @@ class ShardHeader:
         if isinstance(settings, ImportedSettings):
             known = {"camera": _as_text(settings.camera_to_json())}
             return {**start, **place, **known, **versions, "source": _as_text(settings.source.to_json())}
+        if isinstance(settings, SealedSettings):
+            known = {"camera": _as_text(settings.camera.to_dict()), "render": _as_text(settings.render.to_dict())}
+            sealed = {"object_sha256": settings.object_sha256, "commitment": settings.commitment}
+            return {**start, **place, **known, **versions, **sealed}
         if not isinstance(settings, RenderedSettings):
-            raise TypeError(f"expected the settings of a rendered or an imported set, found {type(settings).__name__}")
+            kinds = "a rendered, an imported or a sealed set"
+            raise TypeError(f"expected the settings of {kinds}, found {type(settings).__name__}")
+        kind = RENDERED if settings.seed <= MAX_SEED else FROM_SECRET
         drawing = {
-            "seed": settings.seed,
+            kind.mark: seed_to_json(settings.seed),
             "camera": _as_text(settings.camera.to_dict()),
             "render": _as_text(settings.render.to_dict()),
             "engine": settings.render.engine,
             "tolerance_px": math.nan if settings.tolerance_px is None else settings.tolerance_px,
         }
-        parts = {"parts": json.dumps(settings.parts)} if "parts" in LAYOUTS[self.format_version].rendered else {}
+        parts = {PARTS: json.dumps(settings.parts)} if LAYOUTS[self.format_version].has_parts else {}
         return {**start, "object_sha256": settings.object_sha256, **place, **drawing, **parts, **versions}
 
 

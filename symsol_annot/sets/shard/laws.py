@@ -34,9 +34,10 @@ def label_faults(shard: Shard, labels: ShardLabels) -> Iterator[str]:
     def images(bad: Flags) -> str:
         return f"image {first_of([str(shard.first_index + int(row)) for row in np.flatnonzero(bad)], _LISTED_ROWS)}"
 
-    no_rotation = ~(rotation_deviation(labels.rotation) <= ORTHONORMAL_TOLERANCE)
-    if no_rotation.any():
-        yield f"rotation: {images(no_rotation)}: is no rotation (R^T R = I, det R = 1 to {ORTHONORMAL_TOLERANCE:g})"
+    if labels.rotation is not None:
+        no_rotation = ~(rotation_deviation(labels.rotation) <= ORTHONORMAL_TOLERANCE)
+        if no_rotation.any():
+            yield f"rotation: {images(no_rotation)}: is no rotation (R^T R = I, det R = 1 to {ORTHONORMAL_TOLERANCE:g})"
     yield from _area_faults(shard, labels, images)
     tolerance = _IMPORTED_PRODUCT_TOLERANCE if shard.is_imported else _PRODUCT_TOLERANCE
     faults = check_group(labels.symmetry_group, tolerance).faults

@@ -26,7 +26,7 @@ from symsol_annot.rendering.settings import SAMPLES_PER_AXIS
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.shard.chunks import ByteFile, StoredArray
 from symsol_annot.sets.shard.header import content_heading
-from symsol_annot.sets.shard.layout import ALL_ATTRIBUTES, GROUP, LAYOUTS, ShardLayout
+from symsol_annot.sets.shard.layout import ALL_ATTRIBUTES, GROUP, IMPORTED, LAYOUTS, PARTS, ShardKind, ShardLayout
 from symsol_annot.sets.shard.structure import parts_stated, shown, structure_of
 from symsol_annot.system.sandbox.hdf5_process import Description, Hdf5Process, Limits
 
@@ -38,14 +38,14 @@ class ShardLabels:
     """What a shard says of its N images, without the images.
 
     Attributes:
-        rotation: (N, 3, 3) f8, R_m2c.
+        rotation: (N, 3, 3) f8, R_m2c; None in a sealed shard.
         symmetry_group: (G, 3, 3) f8, the body's symmetries.
-        marking_pixels: (N,) f4, the marking's visible area in pixels; None in an imported shard.
-        part_pixels: (N, P) f4, the visible area of each part in pixels; None in an imported shard and in version 1.
+        marking_pixels: (N,) f4, the marking's visible area in pixels; None in an imported or a sealed shard.
+        part_pixels: (N, P) f4, the visible area of each part in pixels; None in these, and in version 1.
         symmetry_mask: (N, G) bool, which of the symmetries are in each image's set; None without symmetry sets.
     """
 
-    rotation: Rotations
+    rotation: Rotations | None
     symmetry_group: Rotations
     marking_pixels: npt.NDArray[np.float32] | None
     part_pixels: npt.NDArray[np.float32] | None
@@ -71,7 +71,7 @@ class Shard:
     arrays: Mapping[str, StoredArray]
 
     def __len__(self) -> int:
-        return self.arrays["rotation"].shape[0]
+        return self.arrays["image"].shape[0]
 
     @property
     def layout(self) -> ShardLayout:
@@ -79,9 +79,13 @@ class Shard:
         return LAYOUTS[self.attributes["format_version"]]
 
     @property
+    def _kind(self) -> ShardKind:
+        return self.layout.kind_of(self.attributes)
+
+    @property
     def is_imported(self) -> bool:
         """Whether its images are from elsewhere."""
-        return "source" in self.attributes
+        return self._kind is IMPORTED
 
     @property
     def is_annotated(self) -> bool:
@@ -110,11 +114,11 @@ class Shard:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """The names of the parts, the first of id 1; none in an imported shard."""
-        if self.is_imported:
+        """The names of the parts, the first of id 1; none in an imported or a sealed shard."""
+        if self.segmentation is None:
             return ()
-        if "parts" in self.layout.rendered:
-            return parts_stated(self.attributes["parts"])
+        if self.layout.has_parts:
+            return parts_stated(self.attributes[PARTS])
         return ("body",) if math.isnan(self.tolerance_px) else ("body", "marking")
 
     @property
@@ -145,11 +149,11 @@ class Shard:
         Raises:
             DataError: one is damaged.
         """
-        pixels, part_pixels, mask = (
+        rotation, pixels, part_pixels, mask = (
             self.read(name) if name in self.arrays else None
-            for name in ("marking_pixels", "part_pixels", "symmetry_mask")
+            for name in ("rotation", "marking_pixels", "part_pixels", "symmetry_mask")
         )
-        return ShardLabels(self.read("rotation"), self._group(), pixels, part_pixels, mask)
+        return ShardLabels(rotation, self._group(), pixels, part_pixels, mask)
 
     def _group(self) -> Rotations:
         if self.layout.has_group_attribute:

@@ -15,7 +15,18 @@ from symsol_annot.objects.spec import MAX_GROUP_ORDER
 from symsol_annot.rendering.camera import SIZE_RANGE
 from symsol_annot.sets.shard.chunks import DEFLATE, FLETCHER32, Place, StoredArray, largest_chunk
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, SHARD_FORMAT
-from symsol_annot.sets.shard.layout import GROUP, GROUP_SHA256, LAYOUTS, NEWEST, Column, ShardLayout
+from symsol_annot.sets.shard.layout import (
+    GROUP,
+    GROUP_SHA256,
+    LAYOUTS,
+    NEWEST,
+    PARTS,
+    RENDERED,
+    SEALED,
+    Column,
+    ShardKind,
+    ShardLayout,
+)
 from symsol_annot.system.sandbox.hdf5_process import DatasetFacts, Description
 
 MAX_SYMMETRIES = 2 * MAX_GROUP_ORDER
@@ -40,13 +51,13 @@ def structure_of(described: Description, file_bytes: int) -> tuple[list[str], di
     if faults:
         return faults, {}
     layout = LAYOUTS[described.attributes["format_version"]]
-    is_imported = "source" in (described.attributes.keys() | described.odd_attributes.keys())
-    faults = _attribute_faults(described, layout, is_imported=is_imported)
-    faults += _name_faults(described.datasets, layout, is_imported=is_imported)
+    kind = layout.kind_of(described.attributes.keys() | described.odd_attributes.keys())
+    faults = _attribute_faults(described, layout, kind)
+    faults += _name_faults(described.datasets, layout, kind)
     if faults:
         return faults, {}
     arrays = {}
-    for column, shape in _expected_columns(described, layout, is_imported=is_imported):
+    for column, shape in _expected_columns(described, layout, kind):
         facts = described.datasets.get(column.name)
         found = _dataset_faults(column, facts, shape)
         if facts and not found:
@@ -93,21 +104,21 @@ def _format_faults(described: Description) -> list[str]:
     return []
 
 
-def _attribute_faults(described: Description, layout: ShardLayout, *, is_imported: bool) -> list[str]:
-    expected = layout.attribute_kinds(is_imported=is_imported)
-    kind_of = "an imported shard" if is_imported else f"format version {layout.version}"
+def _attribute_faults(described: Description, layout: ShardLayout, kind: ShardKind) -> list[str]:
+    expected = layout.attribute_kinds(kind)
+    whose = f"format version {layout.version}" if kind is RENDERED else kind.title
     odd, arrays = described.odd_attributes, described.arrays
     found = {**described.attributes, **arrays}
     faults = [
-        f"attribute {name!r} is {odd.get(name, 'missing')}, where {_IN_WORDS[kind]} belongs"
-        for name, kind in expected.items()
+        f"attribute {name!r} is {odd.get(name, 'missing')}, where {_IN_WORDS[value]} belongs"
+        for name, value in expected.items()
         if name not in found
     ]
-    faults += [f"attribute {shown(name)} is not part of {kind_of}" for name in (*found, *odd) if name not in expected]
+    faults += [f"attribute {shown(name)} is not part of {whose}" for name in (*found, *odd) if name not in expected]
     if faults:
         return faults
-    if "parts" in expected:
-        faults += _parts_faults(described.attributes["parts"])
+    if PARTS in expected:
+        faults += _parts_faults(described.attributes[PARTS])
     if layout.has_group_attribute:
         faults += _group_faults(arrays[GROUP], described.attributes[GROUP_SHA256])
     return faults + _camera_faults(described.attributes["camera"])
@@ -141,34 +152,34 @@ def _camera_faults(text: str) -> list[str]:
     return [] if is_camera else [f"attribute 'camera' is no JSON with width and height: {shown(text)}"]
 
 
-def _name_faults(datasets: Mapping[str, DatasetFacts], layout: ShardLayout, *, is_imported: bool) -> list[str]:
+def _name_faults(datasets: Mapping[str, DatasetFacts], layout: ShardLayout, kind: ShardKind) -> list[str]:
     known = {column.name for column in layout.columns}
-    there = {column.name for column in layout.columns_of(is_imported=is_imported)}
+    there = {column.name for column in layout.columns_of(kind)}
     faults = []
     for name, facts in datasets.items():
         if name not in known:
             faults.append(f"{shown(name)} is not part of the format, version {layout.version}")
         elif name not in there:
-            faults.append(f"{name!r} is not part of an imported shard")
+            faults.append(f"{name!r} is not part of {kind.title}")
         elif facts.found:
             faults.append(f"{name!r} is {facts.found}, where a data set in this file belongs")
     return faults
 
 
 def _expected_columns(
-    described: Description, layout: ShardLayout, *, is_imported: bool
+    described: Description, layout: ShardLayout, kind: ShardKind
 ) -> Iterator[tuple[Column, tuple[int, ...]]]:
     """Yield each data set with its shape, given how many images, parts and symmetries there are."""
     camera, datasets = json.loads(described.attributes["camera"]), described.datasets
     group = described.arrays.get(GROUP)
     sizes = {
-        "images": _rows_of(datasets.get("rotation")),
+        "images": _rows_of(datasets.get("image" if kind is SEALED else "rotation")),
         "height": camera["height"],
         "width": camera["width"],
-        "parts": len(parts_stated(described.attributes["parts"])) if "parts" in described.attributes else 0,
+        "parts": len(parts_stated(described.attributes[PARTS])) if PARTS in described.attributes else 0,
         "symmetries": _rows_of(datasets.get(GROUP)) if group is None else len(group),
     }
-    for column in layout.columns_of(is_imported=is_imported):
+    for column in layout.columns_of(kind):
         if column.name in datasets or not column.is_optional:
             yield column, tuple(sizes[axis] if isinstance(axis, str) else axis for axis in column.axes)
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from symsol_annot.rendering.renderer import View
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.settings import RenderedSettings
+from symsol_annot.sets.settings import RenderedSettings, SealedSettings
 from symsol_annot.sets.shard.chunks import GZIP_LEVEL, deflate_version, inflated, stored
 from symsol_annot.sets.shard.header import ShardHeader, content_heading
 from symsol_annot.sets.shard.layout import GROUP, GROUP_SHA256
@@ -64,7 +64,9 @@ class ShardWriter(Closing):
         width, height = settings.image_size
         self._image = self._create("image", (count, height, width, 3), "u1", chunk_rows=1)
         self._maps: dict[str, h5py.Dataset] = {}
-        self._labels = {"rotation": np.zeros((count, 3, 3))}
+        self._labels: dict[str, npt.NDArray[Any]] = {}
+        if not isinstance(settings, SealedSettings):
+            self._labels["rotation"] = np.zeros((count, 3, 3))
         if isinstance(settings, RenderedSettings):
             maps = {"segmentation": "u1", **({"depth": "f4"} if settings.has_depth else {})}
             self._maps = {
@@ -90,11 +92,15 @@ class ShardWriter(Closing):
     def add_imported(self, rgb: npt.NDArray[np.uint8], R: Rotations, mask: npt.NDArray[np.bool_] | None) -> None:
         """Append one image (H, W, 3) of which nothing is known but its rotation (3, 3) and its set (G,), if that."""
         row = self._written
-        _store(self._image, row, rgb[None])
-        self._content.update(rgb.tobytes())
         self._labels["rotation"][row] = R
         if mask is not None:
             self._labels["symmetry_mask"][row] = mask
+        self.add_sealed(rgb)
+
+    def add_sealed(self, rgb: npt.NDArray[np.uint8]) -> None:
+        """Append one image (H, W, 3) without labels."""
+        _store(self._image, self._written, rgb[None])
+        self._content.update(rgb.tobytes())
         self._written += 1
 
     def finish(self, notes: dict[str, int]) -> ShardFile:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import symsol_annot
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
-from symsol_annot.bench.predictions.truth import find_set, read_truth
+from symsol_annot.bench.predictions.truth import find_set, read_subject
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import DataError, PredictionsError
@@ -240,7 +240,7 @@ def test_sets_that_nothing_tells_apart_are_named(test_set, tmp_path):
     for name, seed in (("a", 5), ("b", 6)):
         shutil.move(small_set(tmp_path / name, "tetX", 8, seed=seed).folder, data / name)
     with pytest.raises(DataError, match=r"holds several sets of the object 'tetX'.*data/a, .*data/b"):
-        read_truth(data, "tetX", "test", test_set.fingerprint)
+        read_subject(data, "tetX", "test", test_set.fingerprint)
 
 
 def test_what_is_there_is_said_where_no_set_is_of_the_object(test_set, tmp_path):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from symsol_annot.bench.predictions.columns import Answers, Column
 from symsol_annot.bench.predictions.proposals import Predicted
 from symsol_annot.bench.predictions.structure import Structure
-from symsol_annot.bench.predictions.truth import Truth
+from symsol_annot.bench.predictions.truth import Subject, Truth
 from symsol_annot.sets.dataset import Dataset
 
 Indices = npt.NDArray[np.int64]
@@ -67,6 +67,7 @@ class Track:
         columns: from what was answered about each image to the track's data sets.
         ranked_by: the metric by which results rank, its name in scores.json.
         ranked_by_if_there: the metric that takes its place in the scores that have it; empty for none.
+        why_not_sealed: why it cannot be asked about the images of a sealed test; empty where it can.
     """
 
     reader: type[TrackReader]
@@ -77,6 +78,13 @@ class Track:
     columns: Callable[[Answers], dict[str, Column]]
     ranked_by: str
     ranked_by_if_there: str = ""
+    why_not_sealed: str = ""
+
+    def fault_of_sealing(self, about: Subject) -> str:
+        """Say why the track cannot be about a split; empty where it can."""
+        if not (about.is_sealed and self.why_not_sealed):
+            return ""
+        return f"the track {self.name!r} is not offered on sealed images: {self.why_not_sealed} (docs/sealed.md)"
 
     @property
     def name(self) -> str:

@@ -22,11 +22,11 @@ from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.bench.predictions.structure import shown
 from symsol_annot.bench.predictions.tracks.table import TRACK_OF_DATASET, TRACKS
 from symsol_annot.bench.predictions.tracks.track import Track
-from symsol_annot.bench.predictions.truth import Truth, truth_of
+from symsol_annot.bench.predictions.truth import Subject, subject_of
 from symsol_annot.bench.predictions.writing.answer_file import Answer
 from symsol_annot.bench.predictions.writing.hdf5_output import HDF5Output
 from symsol_annot.bench.predictions.writing.kept_answers import KeptAnswers, Resume, check_resume, held_parts
-from symsol_annot.errors import PredictionsError, SettingsError, output_errors
+from symsol_annot.errors import PredictionsError, SealError, SettingsError, output_errors
 from symsol_annot.sets.dataset import Dataset
 from symsol_annot.system.files import replaced
 from symsol_annot.system.text.names import METHOD_NAME_RULE, is_method_name
@@ -42,9 +42,9 @@ class PredictionsFile:
     """
 
     def __init__(
-        self, path: Path, parts: Path, dataset: Dataset, truth: Truth, track: Track, attributes: dict[str, Any]
+        self, path: Path, parts: Path, dataset: Dataset, about: Subject, track: Track, attributes: dict[str, Any]
     ) -> None:
-        self._path, self._dataset, self._truth, self._track = path, dataset, truth, track
+        self._path, self._dataset, self._about, self._track = path, dataset, about, track
         self._attributes = {
             "format": PREDICTIONS_FORMAT,
             "format_version": PREDICTIONS_FORMAT_VERSION,
@@ -98,7 +98,7 @@ class PredictionsFile:
     def _check(self, written: Path) -> None:
         try:
             with SandboxedFile(written) as file:
-                Predictions(file, self._truth).check()
+                Predictions(file, self._about).check()
         except PredictionsError as error:
             raise PredictionsError(str(self._path), error.faults) from None
 
@@ -146,7 +146,7 @@ class PredictionsFile:
         """Say why tracks that are to stay cannot be copied: they are broken, or their rows are in another order."""
         if not self._has_images_in_order(before):
             return ["its rows are not in the images' order, which a track that is added has; choose another file"]
-        sound = {reader.name for reader in Predictions(before, self._truth).readers}
+        sound = {reader.name for reader in Predictions(before, self._about).readers}
         return [
             f"its track {track!r} has faults, which `symsol-annot validate` lists; choose another file, or delete it"
             for track in sorted(kept - sound)
@@ -175,6 +175,7 @@ def held_predictions(
     Raises:
         SettingsError: the dataset is a slice, the method's name is none, or `resume` is nothing of the kind.
         NotAnnotatedError: the split has no symmetry sets.
+        SealError: the split is sealed, and the track cannot be asked about sealed images.
         PredictionsError: the file is there and about something else.
         OutputError: another process writes the file, or nothing can be written there.
     """
@@ -183,10 +184,12 @@ def held_predictions(
         raise SettingsError(f"{dataset!r} is a slice; predictions are about a whole split, in its order")
     _refuse_odd_method(attributes["method"])
     check_resume(resume)
-    truth = truth_of(dataset)  # which refuses a split without symmetry sets before anything is made
+    about = subject_of(dataset)  # which refuses a split without symmetry sets before anything is made
+    if fault := track.fault_of_sealing(about):
+        raise SealError(f"{dataset.folder}: {fault}")
     absolute = Path(os.path.abspath(path))  # noqa: PTH100 - links stay links
     with held_parts(absolute) as parts:
-        yield PredictionsFile(absolute, parts, dataset, truth, track, attributes)
+        yield PredictionsFile(absolute, parts, dataset, about, track, attributes)
 
 
 def _refuse_no_dataset(dataset: Any) -> None:

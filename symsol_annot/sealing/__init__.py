@@ -1,0 +1,1 @@
+"""Sealed tests: a secret and its commitment, images without labels, and what shows later that nobody cheated."""
