@@ -1,5 +1,7 @@
 """What a predictions file holds, read with plain h5py."""
 
+from itertools import pairwise
+
 import h5py
 
 
@@ -8,4 +10,4 @@ def density_rows(path):
     with h5py.File(path) as file:
         bounds = file["density_offsets"][:]
         indices, log_p = file["density_indices"][:], file["density_log_probabilities"][:]
-    return [(indices[a:b], log_p[a:b]) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [(indices[a:b], log_p[a:b]) for a, b in pairwise(bounds)]

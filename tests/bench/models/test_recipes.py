@@ -164,7 +164,7 @@ def test_small_variants_of_the_classifier_have_one_thing_new(name, differs):
 
 
 def test_no_built_in_recipe_is_without_a_test_and_each_has_a_title_of_its_own():
-    known = {*HYPOTHESES, "implicit-pdf", "wta-von-mises-annealed", "ewta-von-mises-smooth-annealed"}
+    known = {*HYPOTHESES, "implicit-pdf", "mixture", "wta-von-mises-annealed", "ewta-von-mises-smooth-annealed"}
     named = set(re.findall(r'"([\w-]+)"', Path(__file__).read_text())) | {
         f"classifier-k{K}" for K in (64, 128, 512, 1024)
     }
@@ -217,9 +217,7 @@ def test_a_backbone_is_a_key_that_is_left_out_where_it_is_the_default():
 
 @pytest.mark.parametrize("kind", MODEL_KINDS.values(), ids=MODEL_KINDS)
 def test_a_kind_of_model_is_found_by_its_recipes_and_its_figures_are_the_scorers(kind):
-    made = recipe(
-        {"hypotheses": "wta-cosine", "classifier": "classifier", "mixture": "mixture"}.get(kind.name, kind.name)
-    )
+    made = recipe({"hypotheses": "wta-cosine"}.get(kind.name, kind.name))
     assert kind_of(made) is kind
     assert recipe_to_toml(made).startswith(f'model = "{kind.name}"\n')
     assert kind.best_by in FIGURES

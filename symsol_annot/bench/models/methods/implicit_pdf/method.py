@@ -37,7 +37,7 @@ class ImplicitPdfLearner:
         self.recipe, self.model = recipe, model
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
-        """Return -ln p(R_gt) (B,), relative to uniform: of the softmax over R_gt and uniform rotations (eq. 5 there)."""
+        """Return -ln p(R_gt) (B,), relative to uniform: of the softmax over it and uniform rotations (eq. 5 there)."""
         with backbone_precision(batch.images, self.recipe.precision):
             embeddings = self.model.first_stage(batch.images)
         others = random_rotations((len(batch.images), self.recipe.queries - 1), rng)
