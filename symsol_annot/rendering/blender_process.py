@@ -34,6 +34,7 @@ END_ITSELF = 75  # the exit code of a process that says why in its last line
 _QUOTED_LINES = 12
 _FRAME_CHATTER = ("Saved:", "Time:", "Fra:")
 _NO_OPENGL = ("No OpenGL vendor detected", "Couldn't find current GLX or EGL context", "libEGL")
+_NO_MEMORY = ("std::bad_alloc", "MemoryError", "out of memory", "Cannot allocate memory")
 _DECIDES_PIXELS = ("OCIO", "BLENDER_", "LP_", "CYCLES_")  # variables that would change the pictures, unrecorded
 _SLOWS = ("MALLOC_",)  # Dask's nannies set MALLOC_TRIM_THRESHOLD_, and drawing takes 1.4 times the CPU time with it
 
@@ -160,6 +161,8 @@ class BlenderProcess:
         if code == -signal.SIGKILL:
             how += " (as the system does when memory runs out: fewer --workers need less)"
         lines = self._last_output()
+        if any(word in line for line in lines for word in _NO_MEMORY):
+            how += " (memory ran out: fewer --workers need less)"
         if any(word in line for line in lines for word in _NO_OPENGL):
             return RendererMissingError(
                 "this engine draws with OpenGL through EGL, and Blender found none:\n"

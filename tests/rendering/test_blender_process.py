@@ -9,13 +9,15 @@ import pytest
 from bench_sets import SmallDisk
 from made_sets import make_plan
 
-from symsol_annot.errors import OutputError
+from symsol_annot.errors import OutputError, RendererCrashedError
 from symsol_annot.generation.process import Limits, ShardProcess
+from symsol_annot.rendering.blender_process import BlenderProcess
 
 PLAN = make_plan("tetX", test=4, size=48)
 MAKE_A_SHARD = """
 from made_sets import make_plan
 from symsol_annot.generation.process import Limits, ShardProcess
+from symsol_annot.rendering.blender_process import BlenderProcess
 plan = make_plan("tetX", test=4, size=48)
 process = ShardProcess(plan, Limits())
 process.make(plan.manifest().shards[0], lambda made: None)
@@ -88,3 +90,21 @@ def test_temporary_files_that_find_no_or_little_room_cost_no_blender(temporary_d
         assert "temporary files cannot be written: " in error
         assert "set TMPDIR to another folder" in error
     assert [path.name for path in temporary_disk.folder.iterdir()] == ["ballast"]
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize(
+    ("ending", "how"),
+    [
+        ("raise MemoryError", r"ended with exit code 1 \(memory ran out: fewer --workers need less\)"),
+        ("sys.stderr.write('std::bad_alloc'); sys.stderr.flush(); os.abort()", r"ended by signal SIGABRT \(memory ran"),
+        ("os.abort()", r"ended by signal SIGABRT\. Its last output"),
+    ],
+)
+def test_a_process_that_ran_out_of_memory_is_said_to_have(tmp_path, monkeypatch, ending, how):
+    (tmp_path / "ending.py").write_text(f"import os, sys\n{ending}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    process = BlenderProcess("ending", None)
+    with pytest.raises(RendererCrashedError, match=how):
+        process.first_answer()
+    process.close()

@@ -69,7 +69,7 @@ def full_from_the_start(trial):
 
 
 def out_of_inodes(trial):
-    with disk(trial.site.out, "size=4m,nr_inodes=6") as remount:
+    with disk(trial.site.out, "size=4m,nr_inodes=9") as remount:
         trial.refuses(trial.start(), FULL)
         trial.expect(finished(trial.folder), "no finished shard was kept")
         remount("size=4m,nr_inodes=100")
@@ -234,7 +234,7 @@ def two_commands(trial):
     first = trial.started()
     workers = trial.site.blenders()
     kill(workers, signal.SIGSTOP)  # the first one waits for the second
-    trial.refuses(trial.start(), "is writing there right now; wait for it, or choose another folder with --out")
+    trial.refuses(trial.start(), "is writing there right now; wait for it, or choose another place with --out")
     kill(workers, signal.SIGCONT)
     trial.survives(first)
 

