@@ -1,5 +1,7 @@
 """The engine opengl: each point's part by integer arithmetic, its light and depth by geometry, however it is drawn."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -192,3 +194,32 @@ def test_depth_is_refused_for_an_engine_that_has_none():
             RenderSettings(name, depth=True)
     with pytest.raises(SettingsError, match="expected true or false"):
         RenderSettings("opengl", depth=1)
+
+
+STRAY = """
+import numpy as np
+from symsol_annot.errors import RenderError
+from symsol_annot.objects.spec import load_object
+from symsol_annot.rendering.blender.opengl import OpenGLRenderer
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.renderer import Scene
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.rotations.so3 import uniform_rotations
+
+renderer = OpenGLRenderer(Scene(load_object("tetX").mesh, Camera.filling(32), RenderSettings()))
+rotations = uniform_rotations(20, np.random.default_rng(0))
+whole = len(renderer.label_windows(rotations)), renderer.marking_pixels(rotations).max() > 0
+renderer._parts = 1  # so that the marking's id is that of no part
+for ask in (renderer.label_windows, renderer.marking_pixels):
+    try:
+        print(whole, ask(rotations))
+    except RenderError as error:
+        print(whole, error)
+"""
+
+
+def test_an_id_of_no_part_in_a_window_of_labels_is_an_error():
+    done = subprocess.run([sys.executable, "-c", STRAY], capture_output=True, text=True, check=True)
+    said = [line for line in done.stdout.splitlines() if line.startswith("(20, ")]
+    assert len(said) == 2
+    assert all("(20, True) Blender drew ids of no part, 2 the highest of 0 to 1" in line for line in said)
