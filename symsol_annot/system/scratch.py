@@ -124,14 +124,27 @@ def remove_marked(folder: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a scratch folder, unless something waits in it that cannot have its name back."""
+    """Remove a scratch folder, unless something waits in it that cannot have its name back.
+
+    Its mark goes last, and comes back where the folder itself cannot go, so that a later sweep may take it.
+    """
     with contextlib.suppress(OSError):
         for waiting in (folder / WAITING).iterdir():
             place = folder.parent / waiting.name
             if os.path.lexists(place):
                 return
             waiting.rename(place)
-    shutil.rmtree(folder, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != MARK_NAME:
+                path.unlink()
+        (folder / MARK_NAME).unlink(missing_ok=True)
+        try:
+            folder.rmdir()
+        except OSError:  # the folder that it is in was made read-only, or something came into it
+            _write_mark(folder)
 
 
 def _remove_if_abandoned(folder: Path) -> None:

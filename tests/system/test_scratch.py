@@ -153,3 +153,21 @@ def killed_owner_left():
         owner.send_signal(signal.SIGKILL)
         owner.wait()
     return left
+
+
+def test_a_folder_that_cannot_go_keeps_its_mark_for_a_later_sweep(temporary, monkeypatch):
+    """As where the folder for temporary files is made read-only meanwhile; root could still remove from it."""
+    scratch, rmdir = Scratch(), Path.rmdir
+
+    def refuse(path):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    (scratch.path / "a frame").write_text("x")
+    (scratch.path / "deep" / "er").mkdir(parents=True)
+    monkeypatch.setattr(Path, "rmdir", refuse)
+    scratch.close()
+    assert [path.name for path in scratch.path.iterdir()] == [MARK_NAME]
+    assert is_marked(scratch.path)
+    monkeypatch.setattr(Path, "rmdir", rmdir)
+    sweep()
+    assert list(temporary.iterdir()) == []
