@@ -3,6 +3,7 @@
 import contextlib
 import platform
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,6 +17,7 @@ T = TypeVar("T")
 Model = TypeVar("Model", bound=nn.Module)
 
 _MEMINFO, _CPUINFO = Path("/proc/meminfo"), Path("/proc/cpuinfo")
+_BFLOAT16_FLAGS = frozenset({"avx512_bf16", "amx_bf16"})
 _CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -52,9 +54,15 @@ def has_bfloat16(device: torch.device) -> bool:
     """Tell whether a device computes in bfloat16 by itself, so that it is faster there."""
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
+    return device.type == "cpu" and not _BFLOAT16_FLAGS.isdisjoint(_cpu_words())
+
+
+@lru_cache(maxsize=1)
+def _cpu_words() -> frozenset[str]:
+    """Return all words that the system says of its processor; none where it says nothing (all but Linux)."""
     with contextlib.suppress(OSError):
-        return device.type == "cpu" and bool({"avx512_bf16", "amx_bf16"} & set(_CPUINFO.read_text().split()))
-    return False
+        return frozenset(_CPUINFO.read_text().split())
+    return frozenset()
 
 
 def takes_bfloat16(device: torch.device, precision: str, side: int) -> bool:
