@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from symsol_annot.bench.models.recipe import builtin_recipes, load_recipe
 from symsol_annot.bench.predictions.truth import find_set
-from symsol_annot.errors import DataError, printable
+from symsol_annot.errors import DataError, SettingsError, printable
 from symsol_annot.sets import dataset
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.system.machine import check_extra
@@ -42,6 +42,12 @@ def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  
     help="Number of epochs; the schedule is stretched to it.  [default: the recipe's]",
 )
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True)
+@click.option("--batch-size", type=click.IntRange(min=2), help="Number of images per step.  [default: the recipe's]")
+@click.option(
+    "--learning-rate",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="The first learning rate; later ones keep their ratio to it.  [default: the recipe's]",
+)
 @click.option(
     "--validation-images", type=click.IntRange(min=0), help="Number of train images that are kept for evaluation."
 )
@@ -60,6 +66,8 @@ def train(
     device: str,
     epochs: int | None,
     seed: int,
+    batch_size: int | None,
+    learning_rate: float | None,
     validation_images: int | None,
     pretrained: tuple[Path, ...],
     *,
@@ -75,8 +83,14 @@ def train(
         if object_name not in (None, images.object):
             raise DataError(f"{images.folder}: is a set of {images.object}, not of {object_name}")
         wanted = file.for_object(images.object, has_marking=images.has_marking)
+        if learning_rate is not None:
+            ratio = learning_rate / wanted.learning_rates[0]
+            wanted = replace(wanted, learning_rates=tuple(rate * ratio for rate in wanted.learning_rates))
+        wanted = replace(wanted, batch_size=batch_size or wanted.batch_size)
         if validation_images is not None:
             wanted = replace(wanted, validation_images=validation_images)
+        if faults := list(wanted.faults()):
+            raise SettingsError(f"{file.name}: " + "; ".join(faults))
         place = out or Path("runs") / f"{images.object}-{file.name}"
         from symsol_annot.bench.models.training import loop  # noqa: PLC0415 - slow to import
 
@@ -90,6 +104,7 @@ def train(
                 name=file.name,
                 on_start=progress.begin,
                 on_batch=progress.advance,
+                on_loss=progress.tell_loss,
                 on_epoch=progress.tell,
             )
     say(f"{place}: {record.epochs_done} epochs of {record.epochs}\nNext:\n  symsol-annot predict {place} --data {data}")
@@ -124,6 +139,11 @@ class _Progress:
         """Count a batch's images."""
         if self._bar:
             self._bar.update(images)
+
+    def tell_loss(self, epoch: int, loss: float) -> None:
+        """Show the epoch under way, and its mean loss up to now."""
+        if self._bar:
+            self._bar.set_postfix_str(f"epoch {epoch}, mean loss {loss:.4g}", refresh=False)
 
     def tell(self, record: "TrainingRecord") -> None:
         """Show the epoch that is finished."""

@@ -48,6 +48,21 @@ def test_train_predict_and_score_from_the_command_line(data, here, tmp_path, mon
     assert done.stdout.startswith("tetX, test split, 3 images: tiny")
 
 
+def test_batch_size_and_learning_rate_are_changed_on_the_command_line(data, here, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiny.toml").write_text(
+        RECIPE_TOML.replace(
+            "learning_rates = [1e-3]\nmilestones = []", "learning_rates = [1e-3, 1e-5]\nmilestones = [1]"
+        ).replace("epochs = 1", "epochs = 2")
+    )
+    done = here("train", "tiny.toml", "--data", data, "--batch-size", "4", "--learning-rate", "2e-4")
+    assert (done.returncode, done.stderr) == (0, "")
+    recipe = open_checkpoint(tmp_path / "runs" / "tetX-tiny").record.recipe
+    assert recipe.batch_size == 4
+    assert recipe.learning_rates == pytest.approx((2e-4, 2e-6))
+    assert "epoch 2/2: loss" in done.stdout
+
+
 @pytest.mark.parametrize("name", ["..toml", "a b.toml", "..", "-x.toml", "tiny.v2.toml"])
 def test_a_run_lies_in_runs_whatever_its_recipe_is_called(name, data, here, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -87,6 +102,8 @@ def test_the_command_lists_recipes(here):
         (["small-wta", "--object", "cube"], "holds no set of the object 'cube'"),
         (["small-wta"], "of which the recipe takes 200 for validation"),
         (["small-wta", "--validation-images", "0", "--device", "cuda:7"], "there is no 'cuda:7' here"),
+        (["small-wta", "--batch-size", "70000"], "small-wta: batch_size: expected 2 to 65536, found 70000"),
+        (["small-wta", "--learning-rate", "inf"], "small-wta: learning_rates: expected numbers above 0, found [inf"),
     ],
 )
 def test_train_refuses_in_one_message(words, said, data, here, tmp_path, monkeypatch):

@@ -273,3 +273,12 @@ def test_a_cosine_rises_then_falls_and_a_gradient_is_clipped(images, tmp_path, m
     assert rates[0] == pytest.approx(1e-3 * 0.5 * (0.5 * (1 + np.cos(np.pi / 8)) + 0.002), rel=1e-3)  # half warmed up
     assert rates[1] > rates[2] > rates[3] > 0
     assert max(norms) <= 1.001e-3
+
+
+def test_the_mean_loss_up_to_now_is_told_with_the_epoch_under_way(images, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "plot_curve", lambda *_: None)
+    monkeypatch.setattr(loop, "_STEPS_BETWEEN_CHECKS", 1)
+    told = []
+    record = train(HYPOTHESES, images, tmp_path / "run", CPU, on_loss=lambda *what: told.append(what))
+    assert [epoch for epoch, _ in told] == [1, 1, 2, 2, 3, 3, 4, 4]
+    assert [loss for _, loss in told[1::2]] == pytest.approx([row["loss"] for row in record.rows])

@@ -37,6 +37,7 @@ from symsol_annot.system.text.names import METHOD_NAME_RULE, is_method_name
 
 OnStart = Callable[[TrainingRecord, int], object]
 OnBatch = Callable[[int], object]
+OnLoss = Callable[[int, float], object]
 OnEpoch = Callable[[TrainingRecord], object]
 _STEPS_BETWEEN_CHECKS = 50  # of the loss: each makes the host wait for the GPU
 
@@ -69,6 +70,7 @@ def train(
     name: str = "",
     on_start: OnStart = lambda *_: None,
     on_batch: OnBatch = lambda _: None,
+    on_loss: OnLoss = lambda *_: None,
     on_epoch: OnEpoch = lambda _: None,
 ) -> TrainingRecord:
     """Train a model, or go on with what a folder holds of the same training.
@@ -81,6 +83,7 @@ def train(
         name: of the recipe, by the rule for a method's; "" where it has none.
         on_start: told what is there already, and how many images an epoch learns from.
         on_batch: told of each batch how many images it has.
+        on_loss: told, every 50 steps, the number of the epoch under way, from 1, and its mean loss up to there.
         on_epoch: told of each epoch, once it is kept.
 
     Raises:
@@ -98,7 +101,7 @@ def train(
         loop = TrainingLoop(record, dataset, out, options, device)
         on_start(loop.record, loop.images_per_epoch)
         while not loop.record.is_finished:
-            loop.one_epoch(on_batch)
+            loop.one_epoch(on_batch, on_loss)
             on_epoch(loop.record)
     return loop.record
 
@@ -166,7 +169,7 @@ class TrainingLoop:
         """How many images an epoch learns from."""
         return self._source.batches_per_epoch() * self._source.batch_size
 
-    def one_epoch(self, on_batch: OnBatch) -> None:
+    def one_epoch(self, on_batch: OnBatch, on_loss: OnLoss) -> None:
         """Learn from every image once, evaluate, and keep what came of it."""
         epoch, steps = self.record.epochs_done, self._source.batches_per_epoch()
         rng = generator(self._device, self.record.seed, epoch, "negatives")
@@ -178,6 +181,7 @@ class TrainingLoop:
             total += loss
             if (step + 1) % _STEPS_BETWEEN_CHECKS == 0:
                 self._refuse_nan(float(total), epoch)
+                on_loss(epoch + 1, float(total) / (step + 1))
             images_done += len(batch.images)
             on_batch(len(batch.images))
         self._refuse_nan(float(total), epoch)
