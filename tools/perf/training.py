@@ -22,7 +22,7 @@ import torch
 from sets import peak_mib
 
 from symsol_annot.bench.models.batches import Batch
-from symsol_annot.bench.models.devices import choose_device, has_bfloat16, laid_out_for
+from symsol_annot.bench.models.devices import choose_device, laid_out_for
 from symsol_annot.bench.models.kinds import kind_of
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.training import checkpoints, loop
@@ -60,7 +60,7 @@ def measure(folder, recipe="small-wta", device="auto", rounds=5, seconds=8.0):
         "device": torch.cuda.get_device_name(device)
         if device.type == "cuda"
         else f"cpu, {torch.get_num_threads()} threads",
-        "backbone": "bfloat16" if has_bfloat16(device) else "float32",
+        "backbone": record.software["precision"],
         "images_in": where,
         "images_per_second": {
             name: round(statistics.median(wall for wall, _ in rates), 1) for name, rates in found.items()
@@ -98,7 +98,7 @@ class _Bare:
     """The same network, losses and optimiser on one random batch that is there already."""
 
     def __init__(self, recipe, images, device):
-        width, height = images.image_size
+        width, height = (recipe.input_size, recipe.input_size) if recipe.input_size else images.image_size
         model = laid_out_for(device, checkpoints.new_model(recipe, None, 0))
         self._learner = kind_of(recipe).method.learner(recipe, model, images.symmetry_group)
         self._optimizer = torch.optim.Adam(model.parameters(), lr=recipe.learning_rates[0], fused=True)
@@ -106,7 +106,9 @@ class _Bare:
         self._epoch = recipe.epochs / 2
         shape = (recipe.batch_size, height, width, 3)
         pixels = torch.randint(0, 256, shape, dtype=torch.uint8, device=device)
-        self._batch = Batch(pixels, torch.eye(3, device=device).expand(recipe.batch_size, 3, 3))
+        R_gt = torch.eye(3, device=device).expand(recipe.batch_size, 3, 3)
+        is_member = torch.ones((recipe.batch_size, len(images.symmetry_group)), dtype=torch.bool, device=device)
+        self._batch = Batch(pixels, R_gt, is_member=is_member if recipe.needs_members else None)
 
     def rate(self, seconds):
         self._learner.model.train()
