@@ -10,10 +10,11 @@ from processes import Cluster, Site, contents, differences, finished, wait_for
 SET = "--object tetX --train 0 --test 1024 --size 96"
 HERE = ("--workers", "2")
 _SHOWN = 150  # characters of a message
-_DIFFERS = {  # from run to run, and what is shown instead
+_DIFFERS = {  # from run to run or from machine to machine, and what is shown instead
+    r"\S*/bin/python": "python",
     r"/tmp/soak-[^/ ]*/": "",
     r"process \d+": "process N",
-    r"\(\d+: .*\) is making": "(N: symsol-annot render) is making",
+    r"\(\d+: .*\) is writing": "(N: symsol-annot render) is writing",
     r"127\.0\.0\.1:\d+": "127.0.0.1:PORT",
     r"symsol-annot-\w{8}": "symsol-annot-XXXXXXXX",
     r"held \d+ MiB": "held N MiB",
