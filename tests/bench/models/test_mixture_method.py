@@ -11,7 +11,7 @@ from tiny_training import CPU, MIXTURE
 from symsol_annot.bench.models.inference import predict
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import density_of, grid_of
+from symsol_annot.bench.models.methods.mixture.image_density import Densities, grid_of
 from symsol_annot.bench.models.methods.mixture.method import METHOD, heads_of
 from symsol_annot.bench.models.training import loop
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint
@@ -48,7 +48,7 @@ def density(structure, *, narrower=3.0, calibration=None, seed=0):
                 for one in range(count):
                     model.output.bias[at + one * size + 6 : at + one * size + (9 if size == 13 else 8)] += narrower
         told = model.told(embedding, is_directed=body.is_directed)
-        return density_of(model, structure, told, body, calibration or Calibration(), 0), body
+        return Densities(model, structure, body, calibration or Calibration()).of_image(told, 0), body
 
 
 @pytest.mark.parametrize("structure", GROUPS)
@@ -131,3 +131,19 @@ def test_a_structure_that_does_not_fit_the_body_is_refused_before_training(tmp_p
     with load(tmp_path / "tetX", "train") as images, pytest.raises(SettingsError, match=r"structure: 'marked-circle'"):
         train(recipe, images, tmp_path / "run", CPU)
     assert not list((tmp_path / "run").glob("*.safetensors"))
+
+
+@torch.no_grad()
+def test_what_views_hide_the_marking_is_asked_of_the_weights_as_they_are():
+    """Over the body's group, h(R g) relative to its mean has the mean 1, also after another epoch changed h."""
+    recipe = replace(MIXTURE, structure="marked-circle")
+    model = METHOD.new_model(recipe, None, torch.Generator().manual_seed(0)).eval()
+    body = body_for(recipe, dihedral_group(360), torch.device("cpu"))
+    told = model.told(torch.rand((1, 256)), is_directed=False)
+    R = (grid_of(0).rotations[:20, None] @ body.group).flatten(0, 1)
+    for _ in range(2):
+        density = Densities(model, "marked-circle", body, Calibration()).of_image(told, 0)
+        means = density._views.log_relative(R).reshape(20, -1).exp().mean(1)
+        assert torch.allclose(means, torch.ones(20), atol=0.02)
+        model.view[0].weight *= -3.0
+        model.view[4].bias -= 2.0

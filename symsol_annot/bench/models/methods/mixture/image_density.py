@@ -203,11 +203,9 @@ class MarkedCircleDensity(ImageDensity):
     The image claims the one that promises the higher F-measure, given how likely it is that the marking shows.
     """
 
-    def __init__(
-        self, told: Told, model: MixtureNetwork, body: Body, calibration: Calibration, rng: torch.Generator
-    ) -> None:
+    def __init__(self, told: Told, views: "_Views", body: Body, calibration: Calibration, rng: torch.Generator) -> None:
         self._told, self._body, self._rng, self._calibration = told, body, rng, calibration
-        self._views = _views_of(model, body)
+        self._views = views
         self._axis_key = tuple(body.axis.tolist())
 
     @cached_property
@@ -346,15 +344,6 @@ class _Views:
         return torch.nn.functional.logsigmoid(self.logit(R)) - self._log_share[tilt.round().long()]
 
 
-def _views_of(model: MixtureNetwork, body: Body) -> _Views:
-    """Return what is known of a model's views, worked out once."""
-    known = getattr(model, "_known_views", None)
-    if known is None:
-        known = _Views(model, body)
-        object.__setattr__(model, "_known_views", known)
-    return known
-
-
 def _frame(told: AxisMixture, body: Body) -> Tensor:
     """Return a rotation (3, 3) whose axis R a is the mean of the heaviest component."""
     heaviest = int(told.log_weights[0, :-1].argmax())
@@ -373,25 +362,37 @@ def _with_last_column(axes: Tensor) -> Tensor:
     return torch.stack([x, torch.linalg.cross(axes, x), axes], dim=-1)
 
 
-def density_of(
-    model: MixtureNetwork, structure: str, told: Told, body: Body, calibration: Calibration, seed: int
-) -> ImageDensity:
-    """Return the density of one image.
+class Densities:
+    """The densities that a model, as its weights are now, tells of images.
 
     Args:
-        model: that told of it.
+        model: that tells of them.
         structure: the recipe's.
-        told: of this image alone.
         body: the object's.
         calibration: fitted on validation images.
-        seed: of the samples by which the threshold is found.
     """
-    rng = torch.Generator().manual_seed(seed)
-    if structure == MARKED_CIRCLE:
-        return MarkedCircleDensity(told, model, body, calibration, rng)
-    if structure == CIRCLE:
-        return CircleDensity(told.axis, body, calibration, rng)
-    if structure == GROUP:
-        return PoseDensity(told.pose.spread_over(body.group), len(body.group), calibration, rng)
-    members = float(body.set_sizes[int(told.set_size[0].argmax())])
-    return PoseDensity(told.pose, members, calibration, rng)
+
+    def __init__(self, model: MixtureNetwork, structure: str, body: Body, calibration: Calibration) -> None:
+        self._model, self._structure, self._body, self._calibration = model, structure, body, calibration
+
+    @cached_property
+    def _views(self) -> "_Views":
+        return _Views(self._model, self._body)
+
+    def of_image(self, told: Told, seed: int) -> ImageDensity:
+        """Return the density of one image.
+
+        Args:
+            told: of this image alone.
+            seed: of the samples by which the threshold is found.
+        """
+        rng = torch.Generator().manual_seed(seed)
+        body, calibration = self._body, self._calibration
+        if self._structure == MARKED_CIRCLE:
+            return MarkedCircleDensity(told, self._views, body, calibration, rng)
+        if self._structure == CIRCLE:
+            return CircleDensity(told.axis, body, calibration, rng)
+        if self._structure == GROUP:
+            return PoseDensity(told.pose.spread_over(body.group), len(body.group), calibration, rng)
+        members = float(body.set_sizes[int(told.set_size[0].argmax())])
+        return PoseDensity(told.pose, members, calibration, rng)

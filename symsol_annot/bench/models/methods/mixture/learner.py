@@ -13,7 +13,7 @@ from symsol_annot.bench.models.devices import backbone_precision
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.calibration import fit
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import ImageDensity, density_of
+from symsol_annot.bench.models.methods.mixture.image_density import Densities, ImageDensity
 from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP, MixtureRecipe
 from symsol_annot.bench.models.networks.answers import embeddings_of
 from symsol_annot.bench.models.networks.mixture_network import MixtureNetwork, Told
@@ -113,8 +113,9 @@ class MixtureLearner:
         return self.model.told(embeddings, is_directed=self._body.is_directed)
 
     def _each(self, told: Told, calibration: Calibration) -> Iterator[ImageDensity]:
+        densities = Densities(self.model, self.recipe.structure, self._body, calibration)
         for i in range(told.images):
-            yield density_of(self.model, self.recipe.structure, told.row(i), self._body, calibration, i)
+            yield densities.of_image(told.row(i), i)
 
 
 def _with_members(batch: Batch) -> tuple[Tensor, Tensor]:

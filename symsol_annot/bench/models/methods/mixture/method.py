@@ -12,7 +12,7 @@ from symsol_annot.bench.models.batches import decode_images
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT, Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import ImageDensity, density_of, grid_of
+from symsol_annot.bench.models.methods.mixture.image_density import Densities, ImageDensity, grid_of
 from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
 from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP, MARKED_CIRCLE, MixtureRecipe
 from symsol_annot.bench.models.networks.answers import embeddings_of
@@ -92,6 +92,7 @@ def _densities_by_index(
 ) -> Callable[[int], ImageDensity]:
     """Return a callable from an image's index to its density; it is quick for one image after another."""
     body = body_for(recipe, dataset.symmetry_group, model.device)
+    densities = Densities(model, recipe.structure, body, calibration)
 
     @lru_cache(maxsize=1)
     def told_of(block: int) -> Told:
@@ -100,7 +101,7 @@ def _densities_by_index(
 
     @lru_cache(maxsize=1)
     def density(i: int) -> ImageDensity:
-        return density_of(model, recipe.structure, told_of(i // _BLOCK).row(i % _BLOCK), body, calibration, i)
+        return densities.of_image(told_of(i // _BLOCK).row(i % _BLOCK), i)
 
     return density
 
