@@ -9,6 +9,8 @@ from tqdm import tqdm
 
 from symsol_annot.errors import UnknownObjectError
 from symsol_annot.objects.spec import ObjectSpec, builtin_names, load_object
+from symsol_annot.rendering.camera import DEFAULT_SIZE, SIZE_RANGE
+from symsol_annot.rendering.engines import DEFAULT_ENGINE, ENGINES
 from symsol_annot.system.text.names import SPLITS
 
 
@@ -41,6 +43,16 @@ def example(*lines: str) -> str:
 
 
 SET_FOLDER = click.argument("folder", metavar="DATA", type=click.Path(path_type=Path))
+SIZE = click.option(
+    "--size",
+    type=click.IntRange(*SIZE_RANGE),
+    default=DEFAULT_SIZE,
+    show_default=True,
+    help="Width and height in pixels.",
+)
+ENGINE = click.option(
+    "--engine", type=click.Choice(list(ENGINES)), default=DEFAULT_ENGINE, show_default=True, help="Blender's engine."
+)
 SPLIT = click.option("--split", type=click.Choice(SPLITS), default="test", show_default=True)
 PREDICTIONS = click.argument("paths", metavar="PREDS.H5...", nargs=-1, required=True, type=click.Path(path_type=Path))
 DATA = click.option(

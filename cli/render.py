@@ -5,7 +5,7 @@ from pathlib import Path
 from shlex import quote
 
 import click
-from symsol_annot_cli.parameters import ObjectType, example
+from symsol_annot_cli.parameters import ENGINE, SIZE, ObjectType, example
 from symsol_annot_cli.reporting import LOG_FORMATS, Tally, failures_in_words, reporter
 from symsol_annot_cli.terminal import say
 
@@ -15,8 +15,7 @@ from symsol_annot.generation.generate import generate
 from symsol_annot.generation.process import DEFAULT_LIMITS, Limits
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.blender_process import check_blender_installed
-from symsol_annot.rendering.camera import DEFAULT_SIZE, SIZE_RANGE, Camera
-from symsol_annot.rendering.engines import DEFAULT_ENGINE, ENGINES
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.manifest import Manifest
 from symsol_annot.sets.plan import SetPlan
@@ -51,16 +50,8 @@ _MIB = 2**20
 @click.option(
     "--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Seed of the random rotations."
 )
-@click.option(
-    "--size",
-    type=click.IntRange(*SIZE_RANGE),
-    default=DEFAULT_SIZE,
-    show_default=True,
-    help="Width and height in pixels.",
-)
-@click.option(
-    "--engine", type=click.Choice(list(ENGINES)), default=DEFAULT_ENGINE, show_default=True, help="Blender's engine."
-)
+@SIZE
+@ENGINE
 @click.option(
     "--annotate",
     type=click.Choice(ANNOTATE_CHOICES),

@@ -7,7 +7,7 @@ from pathlib import Path
 from shlex import quote
 
 import click
-from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example
+from symsol_annot_cli.parameters import ENGINE, SET_FOLDER, SIZE, ObjectType, example
 from symsol_annot_cli.reporting import reporter
 from symsol_annot_cli.terminal import say
 
@@ -16,8 +16,7 @@ from symsol_annot.generation.executors import OpenExecutor, local_processes
 from symsol_annot.generation.maker import software_of
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.blender_process import check_blender_installed
-from symsol_annot.rendering.camera import DEFAULT_SIZE, SIZE_RANGE, Camera
-from symsol_annot.rendering.engines import DEFAULT_ENGINE, ENGINES
+from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sealing import checking, making
@@ -78,16 +77,8 @@ def seal() -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("sealed"), show_default=True, help="Folder of sealed tests."
 )
-@click.option(
-    "--size",
-    type=click.IntRange(*SIZE_RANGE),
-    default=DEFAULT_SIZE,
-    show_default=True,
-    help="Width and height in pixels.",
-)
-@click.option(
-    "--engine", type=click.Choice(list(ENGINES)), default=DEFAULT_ENGINE, show_default=True, help="Blender's engine."
-)
+@SIZE
+@ENGINE
 def new(spec: ObjectSpec, images: int, out: Path, size: int, engine: str) -> None:
     """Draw a secret seed of 128 bits, and write the commitment to it, which is to be published."""
     check_blender_installed()
