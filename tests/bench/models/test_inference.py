@@ -37,30 +37,30 @@ def checkpoint(name, of="tetX", size=(16, 16)):
 
 
 @pytest.fixture(scope="module")
-def test_split(tmp_path_factory):
+def few_images(tmp_path_factory):
     return small_set(tmp_path_factory.mktemp("inference"), "tetX", images=5)
 
 
-def test_hypotheses_are_the_models_of_each_image(test_split, tmp_path, monkeypatch):
+def test_hypotheses_are_the_models_of_each_image(few_images, tmp_path, monkeypatch):
     monkeypatch.setattr(hypothesis_method, "_BLOCK", 2)
     given = checkpoint("small-wta")
-    assert predict(given, test_split, tmp_path / "preds.h5", CPU) == ("hypotheses",)
+    assert predict(given, few_images, tmp_path / "preds.h5", CPU) == ("hypotheses",)
     with h5py.File(tmp_path / "preds.h5") as file:
         assert (file.attrs["method"], file["hypotheses"].shape) == ("small-wta", (5, 30, 3, 3))
         for i, found in enumerate(file["hypotheses"]):
-            expected = given.model(torch.from_numpy(test_split[i].image)[None])[0].detach()
+            expected = given.model(torch.from_numpy(few_images[i].image)[None])[0].detach()
             np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_probabilities_are_the_models_at_the_queries_and_on_the_grid(test_split, tmp_path):
+def test_probabilities_are_the_models_at_the_queries_and_on_the_grid(few_images, tmp_path):
     given = checkpoint("small-classifier")
     given.model.second_stage.logit.bias.data += 1.5  # so that some are above the floor
-    assert predict(given, test_split, tmp_path / "preds.h5", CPU, method="mine", level=1) == ("classifier",)
-    queries = Queries(test_split.fingerprint, test_split.symmetry_group)
+    assert predict(given, few_images, tmp_path / "preds.h5", CPU, method="mine", level=1) == ("classifier",)
+    queries = Queries(few_images.fingerprint, few_images.symmetry_group)
     grid = torch.from_numpy(equivolumetric_grid(1)).float()
     with h5py.File(tmp_path / "preds.h5") as file, torch.no_grad():
         assert (file.attrs["method"], file.attrs["grid_level"]) == ("mine", 1)
-        for i, sample in enumerate(test_split):
+        for i, sample in enumerate(few_images):
             asked = torch.from_numpy(queries.rotations(i, sample.rotation)).float()
             image = torch.from_numpy(sample.image)[None]
             at_queries, on_grid = (given.model(image, R)[0].sigmoid().numpy() for R in (asked, grid))
@@ -72,15 +72,15 @@ def test_probabilities_are_the_models_at_the_queries_and_on_the_grid(test_split,
             assert end - start == len(grid)
 
 
-def test_a_model_of_another_object_or_size_is_refused(test_split, tmp_path):
+def test_a_model_of_another_object_or_size_is_refused(few_images, tmp_path):
     with pytest.raises(ModelError, match=r"was trained on cylO, the set in .* is of tetX"):
-        predict(checkpoint("small-wta", of="cylO"), test_split, tmp_path / "preds.h5", CPU)
+        predict(checkpoint("small-wta", of="cylO"), few_images, tmp_path / "preds.h5", CPU)
     with pytest.raises(ModelError, match=r"on images of 224x224 pixels, those in .* have 16x16; .*--size 224"):
-        predict(checkpoint("small-wta", size=(224, 224)), test_split, tmp_path / "preds.h5", CPU)
+        predict(checkpoint("small-wta", size=(224, 224)), few_images, tmp_path / "preds.h5", CPU)
     assert not (tmp_path / "preds.h5").exists()
 
 
-def test_a_gpu_that_is_too_small_takes_fewer_images_at_once(test_split, tmp_path, monkeypatch):
+def test_a_gpu_that_is_too_small_takes_fewer_images_at_once(few_images, tmp_path, monkeypatch):
     tried, run = [], hypothesis_method.all_hypotheses
 
     def hungry(model, images, batch_size):
@@ -90,11 +90,11 @@ def test_a_gpu_that_is_too_small_takes_fewer_images_at_once(test_split, tmp_path
         return run(model, images, batch_size)
 
     monkeypatch.setattr(hypothesis_method, "all_hypotheses", hungry)
-    predict(checkpoint("small-wta"), test_split, tmp_path / "preds.h5", CPU)
+    predict(checkpoint("small-wta"), few_images, tmp_path / "preds.h5", CPU)
     assert tried == [64, 32, 16, 8, 4, 2]
     monkeypatch.setattr(hypothesis_method, "all_hypotheses", lambda *_: hungry(*_[:2], 64))
     with pytest.raises(ModelError, match="does not hold the network and a single image"):
-        predict(checkpoint("small-wta"), test_split, tmp_path / "preds.h5", CPU)
+        predict(checkpoint("small-wta"), few_images, tmp_path / "preds.h5", CPU)
 
 
 # --- stopped, and resumed ---
@@ -138,43 +138,43 @@ def columns(path):
 
 
 @every_track
-def test_the_same_model_resumes_and_a_line_says_what_is_kept(test_split, tmp_path, monkeypatch, caplog, track):
+def test_the_same_model_resumes_and_a_line_says_what_is_kept(few_images, tmp_path, monkeypatch, caplog, track):
     path = tmp_path / "preds.h5"
-    stop(monkeypatch, checkpoint(MODELS[track]), test_split, path)
+    stop(monkeypatch, checkpoint(MODELS[track]), few_images, path)
     copied = dataclasses.replace(checkpoint(MODELS[track]), path=tmp_path / "a" / "copy")
-    predict(copied, test_split, path, CPU, level=0)
+    predict(copied, few_images, path, CPU, level=0)
     (line,) = caplog.messages
     assert re.search(r"3 of 5 answers are kept of small-\w+ after 0 of 1 epochs, SHA-256 [0-9a-f]{64}, by symsol", line)
-    predict(checkpoint(MODELS[track]), test_split, tmp_path / "whole.h5", CPU, level=0)
+    predict(checkpoint(MODELS[track]), few_images, tmp_path / "whole.h5", CPU, level=0)
     resumed, whole = columns(path), columns(tmp_path / "whole.h5")
     for name in whole:
         np.testing.assert_allclose(resumed[name], whole[name], atol=1e-5)
 
 
 @every_track
-def test_another_models_answers_are_refused_by_the_name_of_both(test_split, tmp_path, monkeypatch, track):
+def test_another_models_answers_are_refused_by_the_name_of_both(few_images, tmp_path, monkeypatch, track):
     path, first, second = tmp_path / "preds.h5", checkpoint(MODELS[track]), other_weights(track)
-    stop(monkeypatch, first, test_split, path)
+    stop(monkeypatch, first, few_images, path)
     assert identity(first) != identity(second)
     with pytest.raises(PredictionsError) as refused:
-        predict(second, test_split, path, CPU, level=0)
+        predict(second, few_images, path, CPU, level=0)
     for model in (first, second):
         assert identity(model) in str(refused.value)
     assert len(list((tmp_path / "preds.h5.parts" / track).glob("*.answer"))) == 3
     assert not path.exists()
-    predict(first, test_split, path, CPU, level=0)
+    predict(first, few_images, path, CPU, level=0)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"), [({"method": "b"}, "method there 'a', now 'b'"), ({}, "method there 'a'")]
 )
-def test_another_method_or_level_does_not_resume(test_split, tmp_path, monkeypatch, changes, words):
+def test_another_method_or_level_does_not_resume(few_images, tmp_path, monkeypatch, changes, words):
     path = tmp_path / "preds.h5"
-    stop(monkeypatch, checkpoint("small-classifier"), test_split, path, method="a")
+    stop(monkeypatch, checkpoint("small-classifier"), few_images, path, method="a")
     with pytest.raises(PredictionsError, match=words):
-        predict(checkpoint("small-classifier"), test_split, path, CPU, level=0, **changes)
+        predict(checkpoint("small-classifier"), few_images, path, CPU, level=0, **changes)
     with pytest.raises(PredictionsError, match="grid_level there 0, now 1"):
-        predict(checkpoint("small-classifier"), test_split, path, CPU, level=1, method="a")
+        predict(checkpoint("small-classifier"), few_images, path, CPU, level=1, method="a")
 
 
 @pytest.mark.parametrize("change", [{"epochs": 2}, {"rows": ({"loss": 1.0},)}])
@@ -193,10 +193,10 @@ def test_answers_of_another_version_of_the_program_are_another_models(monkeypatc
 # --- several views ---
 
 
-def test_a_rotation_fits_all_views_if_it_fits_each(test_split):
+def test_a_rotation_fits_all_views_if_it_fits_each(few_images):
     """By the definition, view by view: R_w2c R is asked of the view's own image."""
     model = checkpoint("small-classifier").model
-    images = torch.from_numpy(np.stack([test_split[i].image for i in range(3)]))
+    images = torch.from_numpy(np.stack([few_images[i].image for i in range(3)]))
     R_w2c, R = (torch.from_numpy(uniform_rotations(n, np.random.default_rng(n))).float() for n in (3, 40))
     with torch.no_grad():
         each = torch.stack([model(images[v : v + 1], R_w2c[v] @ R)[0].sigmoid() for v in range(3)])
@@ -208,15 +208,15 @@ def test_a_rotation_fits_all_views_if_it_fits_each(test_split):
     assert not torch.allclose(found, turned)
 
 
-def test_one_view_in_its_own_frame_is_the_classifier(test_split):
+def test_one_view_in_its_own_frame_is_the_classifier(few_images):
     model = checkpoint("small-classifier").model
-    image = torch.from_numpy(test_split[0].image)[None]
+    image = torch.from_numpy(few_images[0].image)[None]
     R = torch.from_numpy(uniform_rotations(9, np.random.default_rng(0))).float()
     found = probability_in_all_views(model, image, torch.eye(3)[None], R)
     torch.testing.assert_close(found, model(image, R)[0].sigmoid().detach())
 
 
-def test_rotations_that_are_not_one_a_view_are_refused(test_split):
+def test_rotations_that_are_not_one_a_view_are_refused(few_images):
     model = checkpoint("small-classifier").model
     images = torch.zeros((2, 16, 16, 3), dtype=torch.uint8)
     with pytest.raises(RotationError, match=r"for each of 2 views, \(2, 3, 3\).*found \(3, 3\)"):

@@ -23,7 +23,7 @@ IMAGES = 12
 
 
 @pytest.fixture(scope="module")
-def test_set(tmp_path_factory):
+def few_images(tmp_path_factory):
     return small_set(tmp_path_factory.mktemp("data"), "tetX", IMAGES)
 
 
@@ -82,54 +82,54 @@ def written(path, dataset, **columns):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_who_does_what_the_line_says_has_the_true_rotations_scored(form, test_set, tmp_path):
+def test_who_does_what_the_line_says_has_the_true_rotations_scored(form, few_images, tmp_path):
     make, words = FORMS[form]
-    labels = test_set.labels()
+    labels = few_images.labels()
     true = np.stack([labels.symmetry_set(i)[[0, 1, 2, 0, 1]] for i in range(IMAGES)])
     wrong = make(true)
     with pytest.raises(PredictionsError) as refused:
-        score_file(written(tmp_path / "wrong.h5", test_set, hypotheses=wrong), test_set.folder)
+        score_file(written(tmp_path / "wrong.h5", few_images, hypotheses=wrong), few_images.folder)
     mended = done_as_said(line_after(str(refused.value), words), wrong)
-    scores = score_file(written(tmp_path / "right.h5", test_set, hypotheses=mended), test_set.folder)
+    scores = score_file(written(tmp_path / "right.h5", few_images, hypotheses=mended), few_images.folder)
     assert scores.tracks["hypotheses"].figures["all"]["precision_mean_error_rad"].value < 1e-3
 
 
-def test_probabilities_in_place_of_their_logarithms_are_called_so(test_set, tmp_path):
+def test_probabilities_in_place_of_their_logarithms_are_called_so(few_images, tmp_path):
     path = tmp_path / "preds.h5"
-    write_density(path, test_set, lambda i, R: 9.0 * R[:, 0, 0], method="mine", level=0, progress=False)
+    write_density(path, few_images, lambda i, R: 9.0 * R[:, 0, 0], method="mine", level=0, progress=False)
     with h5py.File(path, "r+") as f:
         logs = f["density_log_probabilities"][()]
         f["density_log_probabilities"][...] = np.exp(logs)
     with pytest.raises(PredictionsError, match=r"these look like probabilities: write np\.log\(p\)"):
-        score_file(path, test_set.folder)
+        score_file(path, few_images.folder)
     with h5py.File(path, "r+") as f:
         f["density_log_probabilities"][...] = np.log(f["density_log_probabilities"][()])
-    score_file(path, test_set.folder)
+    score_file(path, few_images.folder)
 
 
-def test_logits_in_place_of_probabilities_are_called_so(test_set, tmp_path):
+def test_logits_in_place_of_probabilities_are_called_so(few_images, tmp_path):
     path = tmp_path / "preds.h5"
-    write_classifier(path, test_set, lambda i, R: 0.5 + 0.4 * R[:, 0, 0], method="mine", level=0, progress=False)
+    write_classifier(path, few_images, lambda i, R: 0.5 + 0.4 * R[:, 0, 0], method="mine", level=0, progress=False)
     with h5py.File(path, "r+") as f:
         f["query_probability"][...] = np.full(f["query_probability"].shape, -3.0)
     with pytest.raises(PredictionsError, match=r"logits become probabilities by 1 / \(1 \+ np\.exp\(-x\)\)"):
-        score_file(path, test_set.folder)
+        score_file(path, few_images.folder)
 
 
 @pytest.mark.parametrize("floor", [0.0, 1.0, -1.0, np.nan, "1e-9"])
-def test_a_density_floor_is_between_0_and_1_or_not_there(floor, test_set, tmp_path):
+def test_a_density_floor_is_between_0_and_1_or_not_there(floor, few_images, tmp_path):
     path = tmp_path / "preds.h5"
-    write_density(path, test_set, lambda i, R: R[:, 0, 0], method="mine", level=0, progress=False)
+    write_density(path, few_images, lambda i, R: R[:, 0, 0], method="mine", level=0, progress=False)
     with h5py.File(path, "r+") as f:
         f.attrs.pop("density_floor", None)
-    assert "density_floor" not in score_file(path, test_set.folder).tracks["density"].facts
+    assert "density_floor" not in score_file(path, few_images.folder).tracks["density"].facts
     with h5py.File(path, "r+") as f:
         f.attrs["density_floor"] = 1e-9
-    assert score_file(path, test_set.folder).tracks["density"].facts["density_floor"] == 1e-9
+    assert score_file(path, few_images.folder).tracks["density"].facts["density_floor"] == 1e-9
     with h5py.File(path, "r+") as f:
         f.attrs["density_floor"] = floor
     with pytest.raises(PredictionsError, match="'density_floor': expected"):
-        score_file(path, test_set.folder)
+        score_file(path, few_images.folder)
 
 
 @pytest.mark.parametrize(
@@ -154,98 +154,98 @@ def test_a_density_floor_is_between_0_and_1_or_not_there(floor, test_set, tmp_pa
         ),
     ],
 )
-def test_a_file_of_another_kind_is_named_with_what_makes_predictions_of_it(name, save, words, test_set, tmp_path):
-    save(tmp_path / name, test_set.labels().rotation[:, None])
+def test_a_file_of_another_kind_is_named_with_what_makes_predictions_of_it(name, save, words, few_images, tmp_path):
+    save(tmp_path / name, few_images.labels().rotation[:, None])
     with pytest.raises(PredictionsError, match=f"(?s){words}"):
-        score_file(tmp_path / name, test_set.folder.parent)
+        score_file(tmp_path / name, few_images.folder.parent)
 
 
-def test_the_line_for_an_array_of_numpys_writes_predictions(test_set, tmp_path, monkeypatch):
+def test_the_line_for_an_array_of_numpys_writes_predictions(few_images, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    np.save("R.npy", test_set.labels().rotation[:, None])
+    np.save("R.npy", few_images.labels().rotation[:, None])
     with pytest.raises(PredictionsError) as refused:
-        score_file("R.npy", str(test_set.folder.parent))
+        score_file("R.npy", str(few_images.folder.parent))
     line = re.search(r"write_hypotheses\(.*?method='mine'\)", str(refused.value))[0]
     exec(line, {"write_hypotheses": write_hypotheses, "symsol_annot": symsol_annot, "np": np})
-    scores = score_file("preds.h5", str(test_set.folder.parent))  # paths as text
+    scores = score_file("preds.h5", str(few_images.folder.parent))  # paths as text
     assert scores.tracks["hypotheses"].figures["all"]["accuracy_at_1_deg"].value == 1.0
 
 
 @pytest.mark.parametrize("whose", ["the whole set's", "the train split's"])
 def test_a_fingerprint_of_the_same_set_is_called_so_and_the_line_gives_the_splits(whose, tmp_path):
     make_set(tmp_path / "data", "tetX", train=2, test=4, size=16)
-    test_set = symsol_annot.load(tmp_path / "data" / "tetX")
-    manifest = test_set.manifest
-    path = written(tmp_path / "preds.h5", test_set, hypotheses=test_set.labels().rotation[:, None])
+    few_images = symsol_annot.load(tmp_path / "data" / "tetX")
+    manifest = few_images.manifest
+    path = written(tmp_path / "preds.h5", few_images, hypotheses=few_images.labels().rotation[:, None])
     with h5py.File(path, "r+") as f:
         is_whole = whose == "the whole set's"
         f.attrs["fingerprint"] = manifest.fingerprint if is_whole else manifest.split_fingerprint("train")
     with pytest.raises(PredictionsError, match=f"that is {whose}, where the test split's belongs") as refused:
-        score_file(path, test_set.folder)
+        score_file(path, few_images.folder)
     line = re.search(r"f\.attrs\[.*fingerprint$", str(refused.value), re.MULTILINE)[0]
     with h5py.File(path, "r+") as f:
         exec(line, {"f": f, "symsol_annot": symsol_annot})
-    score_file(path, test_set.folder)
+    score_file(path, few_images.folder)
 
 
-def test_a_missing_attribute_or_index_comes_with_the_line_that_writes_it(test_set, tmp_path):
-    path = written(tmp_path / "preds.h5", test_set, hypotheses=test_set.labels().rotation[:, None])
+def test_a_missing_attribute_or_index_comes_with_the_line_that_writes_it(few_images, tmp_path):
+    path = written(tmp_path / "preds.h5", few_images, hypotheses=few_images.labels().rotation[:, None])
     with h5py.File(path, "r+") as f:
         del f.attrs["fingerprint"], f["image_index"]
     with pytest.raises(PredictionsError) as refused:
-        score_file(path, test_set.folder)
+        score_file(path, few_images.folder)
     lines = re.findall(r"f(?:\.attrs)?\['\w+'\] = (?:range\(\d+\)|'\w+')", str(refused.value))
     with h5py.File(path, "r+") as f:
         for line in lines:
             exec(line, {"f": f})
-    score_file(path, test_set.folder)
+    score_file(path, few_images.folder)
 
 
-def test_images_counted_from_1_are_told_so(test_set, tmp_path):
-    path = written(tmp_path / "preds.h5", test_set, hypotheses=test_set.labels().rotation[:, None])
+def test_images_counted_from_1_are_told_so(few_images, tmp_path):
+    path = written(tmp_path / "preds.h5", few_images, hypotheses=few_images.labels().rotation[:, None])
     with h5py.File(path, "r+") as f:
         f["image_index"][...] = np.arange(1, IMAGES + 1)
     with pytest.raises(PredictionsError, match="images count from 0: subtract 1"):
-        score_file(path, test_set.folder)
+        score_file(path, few_images.folder)
 
 
 # Which set a file is about
 
 
 @pytest.fixture
-def preds(test_set, tmp_path):
-    return written(tmp_path / "preds.h5", test_set, hypotheses=test_set.labels().rotation[:, None])
+def preds(few_images, tmp_path):
+    return written(tmp_path / "preds.h5", few_images, hypotheses=few_images.labels().rotation[:, None])
 
 
-def test_a_set_is_found_by_its_object_whatever_its_folder_is_called(test_set, preds, tmp_path):
-    shutil.copytree(test_set.folder, tmp_path / "data" / "renamed set")
+def test_a_set_is_found_by_its_object_whatever_its_folder_is_called(few_images, preds, tmp_path):
+    shutil.copytree(few_images.folder, tmp_path / "data" / "renamed set")
     with open_predictions(preds, tmp_path / "data") as predictions:
         assert predictions.truth.folder == str(tmp_path / "data" / "renamed set")
 
 
-def test_of_several_sets_of_an_object_the_one_is_taken_that_the_file_is_about(test_set, preds, tmp_path):
+def test_of_several_sets_of_an_object_the_one_is_taken_that_the_file_is_about(few_images, preds, tmp_path):
     data = tmp_path / "data"
     other = small_set(data / "elsewhere", "tetX", 8, seed=5)
     shutil.move(other.folder, data / "tetX")  # under the object's name
-    shutil.copytree(test_set.folder, data / "older")
+    shutil.copytree(few_images.folder, data / "older")
     score_file(preds, data)
     with open_predictions(preds, data) as predictions:
         assert predictions.truth.folder == str(data / "older")
     assert find_set(data, "tetX") == data / "tetX"
 
 
-def test_sets_that_nothing_tells_apart_are_named(test_set, tmp_path):
+def test_sets_that_nothing_tells_apart_are_named(few_images, tmp_path):
     data = tmp_path / "data"
     data.mkdir()
     for name, seed in (("a", 5), ("b", 6)):
         shutil.move(small_set(tmp_path / name, "tetX", 8, seed=seed).folder, data / name)
     with pytest.raises(DataError, match=r"holds several sets of the object 'tetX'.*data/a, .*data/b"):
-        read_subject(data, "tetX", "test", test_set.fingerprint)
+        read_subject(data, "tetX", "test", few_images.fingerprint)
 
 
-def test_what_is_there_is_said_where_no_set_is_of_the_object(test_set, tmp_path):
-    shutil.copytree(test_set.folder, tmp_path / "data" / "one")
-    shutil.copytree(test_set.folder, tmp_path / "data" / "two")
+def test_what_is_there_is_said_where_no_set_is_of_the_object(few_images, tmp_path):
+    shutil.copytree(few_images.folder, tmp_path / "data" / "one")
+    shutil.copytree(few_images.folder, tmp_path / "data" / "two")
     (tmp_path / "data" / "two" / "manifest.json").write_text("{")
     said = r"no set of the object 'cube': its sets are one \(tetX\), two \(its manifest cannot be read\)"
     with pytest.raises(DataError, match=said):
