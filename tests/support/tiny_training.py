@@ -4,6 +4,7 @@ from torch import nn
 
 from symsol_annot.bench.models.kinds import Recipe
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.methods.diffusion.recipe import DiffusionRecipe
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
 from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRecipe
 from symsol_annot.bench.models.methods.mixture.recipe import MixtureRecipe
@@ -57,10 +58,12 @@ CLASSIFIER = ClassifierRecipe(
 )
 MIXTURE = MixtureRecipe(**_COMMON, structure="free", components=3, members=4)
 IMPLICIT_PDF = ImplicitPdfRecipe(**_COMMON, queries=16)
+DIFFUSION = DiffusionRecipe(**_COMMON, draws=4, samples=8, steps=3)
 RECIPES: dict[str, Recipe] = {
     "hypotheses": HYPOTHESES,
     "classifier": CLASSIFIER,
     "mixture": MIXTURE,
     "implicit-pdf": IMPLICIT_PDF,
+    "diffusion": DIFFUSION,
 }
 CPU = Options(device="cpu")

@@ -5,12 +5,13 @@ from importlib import import_module
 from typing import TypeAlias
 
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.methods.diffusion.recipe import DiffusionRecipe
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
 from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRecipe
 from symsol_annot.bench.models.methods.method import Method
 from symsol_annot.bench.models.methods.mixture.recipe import MixtureRecipe
 
-Recipe: TypeAlias = HypothesisRecipe | ClassifierRecipe | MixtureRecipe | ImplicitPdfRecipe
+Recipe: TypeAlias = HypothesisRecipe | ClassifierRecipe | MixtureRecipe | ImplicitPdfRecipe | DiffusionRecipe
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,14 @@ MODEL_KINDS = {
             tracks=("density",),
             best_by="log_likelihood_at_gt",
             module=f"{_METHODS}.implicit_pdf.method",
+        ),
+        ModelKind(
+            name="diffusion",
+            title="diffusion",
+            recipe=DiffusionRecipe,
+            tracks=("hypotheses", "density"),
+            best_by="recall_mean_error_rad",
+            module=f"{_METHODS}.diffusion.method",
         ),
     )
 }

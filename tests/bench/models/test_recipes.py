@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -28,6 +28,8 @@ from symsol_annot.bench.models.recipe import (
 from symsol_annot.bench.models.validation import FIGURES
 from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.errors import SettingsError
+
+KS = (64, 128, 512, 1024)  # of figure 7.4, beside the baseline's 256
 
 ROOT = Path(__file__).resolve().parents[3]
 UNMARKED, MARKED = ("tet", "cube", "icosa", "cone", "cyl"), ("tetX", "cylO")
@@ -108,7 +110,7 @@ def test_k_is_halved_until_it_is_one(of, epochs_above_one):
         ("classifier-best-precision", {"start": "best-precision"}),
         ("classifier-no-encoding", {"frequencies": 0}),
         ("classifier-no-pretraining", {"start": "imagenet"}),
-        *((f"classifier-k{K}", {"negatives": K}) for K in (64, 128, 512, 1024)),
+        *((f"classifier-k{K}", {"negatives": K}) for K in KS),
     ],
 )
 def test_table_7_1_and_figure_7_4_have_a_recipe_a_row(name, differs):
@@ -163,13 +165,37 @@ def test_small_variants_of_the_classifier_have_one_thing_new(name, differs):
     assert variant.title != plain.title
 
 
+REDUCED_CLASSIFIERS = [
+    "classifier",
+    *(f"classifier-{row}" for row in ("best-precision", "no-encoding", "no-pretraining")),
+]
+
+
+@pytest.mark.parametrize("name", [*HYPOTHESES, *REDUCED_CLASSIFIERS, *(f"classifier-k{K}" for K in KS)])
+def test_a_reduced_row_is_the_thesiss_but_for_its_input_its_start_and_how_long_it_takes(name):
+    reduced, thesis = recipe(f"reduced-{name}", "tet"), recipe(name, "tet")
+    changed = {"title", "epochs", "milestones", "input_size", "frozen_epochs", "epochs_to_one"}
+    if thesis.start == "imagenet":  # which cannot be had everywhere
+        changed |= {"start"}
+        assert reduced.start == "random"
+    same = [key.name for key in fields(thesis) if key.name not in changed]
+    assert [name for name in same if getattr(reduced, name) != getattr(thesis, name)] == []
+    assert reduced.input_size == 32
+    assert reduced.title.endswith("random start" if name in HYPOTHESES else "32 pixels")
+
+
 def test_no_built_in_recipe_is_without_a_test_and_each_has_a_title_of_its_own():
-    known = {*HYPOTHESES, "implicit-pdf", "mixture", "wta-von-mises-annealed", "ewta-von-mises-smooth-annealed"}
-    named = set(re.findall(r'"([\w-]+)"', Path(__file__).read_text())) | {
-        f"classifier-k{K}" for K in (64, 128, 512, 1024)
+    known = {
+        *HYPOTHESES,
+        "implicit-pdf",
+        "mixture",
+        "diffusion",
+        "wta-von-mises-annealed",
+        "ewta-von-mises-smooth-annealed",
     }
+    named = set(re.findall(r'"([\w-]+)"', Path(__file__).read_text())) | {f"classifier-k{K}" for K in KS}
     names = builtin_recipes()
-    assert [name for name in names if name not in known | named and not name.startswith("small-")] == []
+    assert [name for name in names if name not in known | named and not name.startswith(("small-", "reduced-"))] == []
     assert len({load_recipe(name).title for name in names}) == len(names)
 
 
@@ -245,7 +271,10 @@ def test_a_name_that_is_none_is_refused_with_those_that_are():
         ({"rolls": 1}, "rolls: expected true or false, found 1"),
         ({"negatives": 8}, "negatives: is no key of a hypotheses recipe"),
         ({"batch_size": None}, "batch_size: is missing"),
-        ({"model": '"mlp"'}, "model: expected hypotheses or classifier or mixture or implicit-pdf, found 'mlp'"),
+        (
+            {"model": '"mlp"'},
+            "model: expected hypotheses or classifier or mixture or implicit-pdf or diffusion, found 'mlp'",
+        ),
         ({"meta_loss": '"awta"'}, "meta_loss: expected one of wta, rwta, ewta, found 'awta'"),
         ({"backbone": '"resnet19"'}, "backbone: expected one of resnet18, narrow-resnet18, found 'resnet19'"),
         ({"backbone": 18}, "backbone: expected one of resnet18, narrow-resnet18, found 18"),

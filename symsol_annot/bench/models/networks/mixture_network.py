@@ -1,5 +1,7 @@
 """From an image to a mixture density on SO(3), in a form that fits the body."""
 
+import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,6 +84,10 @@ class Told:
         pose: PoseMixture = self._parts["pose"]
         return pose
 
+    def cpu(self) -> "Told":
+        """Return it in the processor's memory, where single images are worked out."""
+        return Told(**{name: part.cpu() for name, part in self._parts.items()})
+
     def row(self, i: int) -> "Told":
         """Return what is told of one image."""
         return Told(
@@ -147,6 +153,11 @@ class MixtureNetwork(ReferenceModel):
         """Return logits (...) that the marking is hidden from viewing directions (..., 3), R's last row."""
         logits: Tensor = self.view(view)
         return logits[..., 0]
+
+    def hides_on_cpu(self) -> Callable[[Tensor], Tensor]:
+        """Return `hides` as the weights are now, for directions in the processor's memory."""
+        network = copy.deepcopy(self.view).cpu()
+        return lambda view: network(view)[..., 0]
 
 
 def _numbers(values: Tensor, components: int) -> tuple[Tensor, Tensor]:

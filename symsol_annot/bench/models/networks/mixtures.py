@@ -105,6 +105,10 @@ class PoseMixture:
         log_weights = (self.log_weights[:, :-1, None] - math.log(len(group))).expand(-1, -1, len(group)).flatten(1)
         return PoseMixture(centres, roots, torch.cat([log_weights, self.log_weights[:, -1:]], dim=1))
 
+    def cpu(self) -> "PoseMixture":
+        """Return them in the processor's memory."""
+        return PoseMixture(self.centres.cpu(), self.roots.cpu(), self.log_weights.cpu())
+
     def __len__(self) -> int:
         return len(self.log_weights)
 
@@ -174,6 +178,10 @@ class AxisMixture:
         """Return it convolved with a normal distribution of a deviation along each tangent, as narrow ones are."""
         covariance = torch.cholesky_inverse(self.roots) + deviation_rad**2 * torch.eye(2, device=self.roots.device)
         return replace(self, roots=torch.linalg.cholesky(torch.linalg.inv(covariance)))
+
+    def cpu(self) -> "AxisMixture":
+        """Return them in the processor's memory."""
+        return replace(self, frames=self.frames.cpu(), roots=self.roots.cpu(), log_weights=self.log_weights.cpu())
 
     def __len__(self) -> int:
         return len(self.log_weights)

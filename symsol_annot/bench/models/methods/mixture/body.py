@@ -1,6 +1,6 @@
 """What a mixture has to know of a body: its group, and the circle in it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -30,6 +30,10 @@ class Body:
     axis: Tensor
     is_directed: bool
     few: int
+
+    def cpu(self) -> "Body":
+        """Return it in the processor's memory."""
+        return replace(self, group=self.group.cpu(), axis=self.axis.cpu())
 
     @property
     def set_sizes(self) -> Tensor:

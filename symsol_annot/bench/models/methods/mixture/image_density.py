@@ -324,19 +324,19 @@ class _Views:
     """From which directions the marking is hidden, and how large their share is at each tilt of the axis."""
 
     def __init__(self, model: MixtureNetwork, body: Body) -> None:
-        self._model, self._axis = model, body.axis
+        self._hides, self._axis = model.hides_on_cpu(), body.axis
         tilts = torch.linspace(0.0, np.pi, _TILTS)
         turns = torch.arange(_TURNS) * (2.0 * np.pi / _TURNS)
         across, also = torch.linalg.svd(body.axis[None])[2][1:]
         directions = tilts.cos()[:, None, None] * body.axis + tilts.sin()[:, None, None] * (
             turns.cos()[:, None] * across + turns.sin()[:, None] * also
         )
-        share = torch.sigmoid(model.hides(directions)).mean(1)
+        share = torch.sigmoid(self._hides(directions)).mean(1)
         self._log_share = (share if body.is_directed else 0.5 * (share + share.flip(0))).log()
 
     def logit(self, R: Tensor) -> Tensor:
         """Return logits (n,) that the marking is hidden at rotations (n, 3, 3)."""
-        return self._model.hides(R[:, 2])
+        return self._hides(R[:, 2])
 
     def log_relative(self, R: Tensor) -> Tensor:
         """Return ln of h(R) over its mean over the body's group (n,)."""
@@ -363,7 +363,7 @@ def _with_last_column(axes: Tensor) -> Tensor:
 
 
 class Densities:
-    """The densities that a model, as its weights are now, tells of images.
+    """The densities that a model, as its weights are now, tells of images; worked out on the CPU, one by one.
 
     Args:
         model: that tells of them.
@@ -373,7 +373,7 @@ class Densities:
     """
 
     def __init__(self, model: MixtureNetwork, structure: str, body: Body, calibration: Calibration) -> None:
-        self._model, self._structure, self._body, self._calibration = model, structure, body, calibration
+        self._model, self._structure, self._body, self._calibration = model, structure, body.cpu(), calibration
 
     @cached_property
     def _views(self) -> "_Views":

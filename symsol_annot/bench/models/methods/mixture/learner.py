@@ -110,7 +110,7 @@ class MixtureLearner:
 
     def _told(self, images: Tensor) -> Told:
         embeddings = embeddings_of(self.model, images, _AT_ONCE)
-        return self.model.told(embeddings, is_directed=self._body.is_directed)
+        return self.model.told(embeddings, is_directed=self._body.is_directed).cpu()
 
     def _each(self, told: Told, calibration: Calibration) -> Iterator[ImageDensity]:
         densities = Densities(self.model, self.recipe.structure, self._body, calibration)

@@ -97,7 +97,7 @@ def _densities_by_index(
     @lru_cache(maxsize=1)
     def told_of(block: int) -> Told:
         images = decode_images(dataset[block * _BLOCK : (block + 1) * _BLOCK], recipe.input_size).images
-        return model.told(embeddings_of(model, images, _AT_ONCE), is_directed=body.is_directed)
+        return model.told(embeddings_of(model, images, _AT_ONCE), is_directed=body.is_directed).cpu()
 
     @lru_cache(maxsize=1)
     def density(i: int) -> ImageDensity:

@@ -1,0 +1,139 @@
+"""Diffusion: its noise is Brownian motion on SO(3), its score the slope of that density, its samples what fits it."""
+
+import math
+
+import numpy as np
+import pytest
+import roma
+import torch
+from read_predictions import density_rows
+from tiny_training import DIFFUSION
+
+from symsol_annot.bench.models.batches import Batch
+from symsol_annot.bench.models.inference import predict
+from symsol_annot.bench.models.methods.diffusion import heat_kernel
+from symsol_annot.bench.models.methods.diffusion.heat_kernel import HeatKernel, kernel, slope
+from symsol_annot.bench.models.methods.diffusion.method import (
+    METHOD,
+    DiffusionLearner,
+    reverse_walk,
+    smoothed_samples,
+)
+from symsol_annot.bench.models.training.checkpoints import open_checkpoint
+from symsol_annot.bench.scoring.scoring import score_file
+from symsol_annot.rotations.grid import equivolumetric_grid
+from symsol_annot.rotations.groups import dihedral_group
+from symsol_annot.rotations.so3 import uniform_rotations
+from symsol_annot.sets.dataset import load
+
+torch.set_num_threads(1)
+ANGLES = np.linspace(0.05, 3.0, 60)
+
+
+def test_noise_turns_as_far_as_a_brownian_walk():
+    heat = HeatKernel(torch.device("cpu"))
+    level, xi, _ = heat.draw((400_000,), torch.Generator().manual_seed(0))
+    angles = xi.norm(dim=-1).double()
+    for chosen in (0, 64, 110, 127):
+        sigma = float(heat.sigma[chosen])
+        at = angles[level == chosen]
+        one = float((1.0 + 2.0 * torch.cos(at)).mean())  # the character of degree 1, whose mean is 3 exp(-sigma^2)
+        error = float((2.0 * torch.cos(at)).std()) / math.sqrt(len(at))
+        assert one == pytest.approx(3.0 * math.exp(-(sigma**2)), abs=4.0 * error + 2e-3)
+
+
+def test_noise_has_no_favourite_axis():
+    _, xi, _ = HeatKernel(torch.device("cpu")).draw((100_000,), torch.Generator().manual_seed(1))
+    axes = xi / xi.norm(dim=-1, keepdim=True)
+    assert axes.mean(0).abs().max() < 0.01
+    assert (axes.T @ axes / len(axes) - torch.eye(3) / 3.0).abs().max() < 0.01
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.499, 0.501, 0.9, 2.0])
+def test_the_slope_is_that_of_the_densitys_logarithm(sigma):
+    angles, step = ANGLES[: np.searchsorted(ANGLES, 6.0 * sigma)], 1e-5
+    numerical = (np.log(kernel(angles + step, sigma)) - np.log(kernel(angles - step, sigma))) / (2.0 * step)
+    np.testing.assert_allclose(slope(angles, sigma), numerical, rtol=1e-4, atol=1e-5)
+
+
+def test_the_normal_form_meets_the_series(monkeypatch):
+    monkeypatch.setattr(heat_kernel, "_SERIES_FROM_RAD", 0.0)
+    near = ANGLES[ANGLES < 2.0]
+    series = slope(near, 0.499), kernel(near, 0.499)
+    monkeypatch.undo()
+    np.testing.assert_allclose(slope(near, 0.499), series[0], atol=1e-4)
+    ratio = kernel(near, 0.499) / series[1]
+    np.testing.assert_allclose(ratio / ratio[0], 1.0, rtol=1e-6)
+
+
+def test_what_is_to_be_told_points_back():
+    _, xi, wanted = HeatKernel(torch.device("cpu")).draw((5000,), torch.Generator().manual_seed(2))
+    small = xi.norm(dim=-1) < 3.0
+    along = (xi * wanted).sum(-1)[small]
+    assert float((along < 0).float().mean()) > 0.99  # towards where it came from
+    assert torch.linalg.cross(xi, wanted).norm(dim=-1).max() < 1e-3
+
+
+@torch.no_grad()
+def test_the_loss_is_the_square_of_what_is_wrong():
+    images = torch.randint(0, 256, (3, 16, 16, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    R_gt = torch.from_numpy(uniform_rotations(3, np.random.default_rng(0))).float()
+    model = METHOD.new_model(DIFFUSION, None, torch.Generator().manual_seed(0)).eval()
+    losses = DiffusionLearner(DIFFUSION, model).losses(Batch(images, R_gt), 0.0, torch.Generator().manual_seed(5))
+    heat = HeatKernel(torch.device("cpu"))
+    level, xi, wanted = heat.draw((3, DIFFUSION.draws), torch.Generator().manual_seed(5))
+    embeddings = model.first_stage(images)
+    for i in range(3):
+        found = 0.0
+        for j in range(DIFFUSION.draws):
+            R = R_gt[i] @ roma.rotvec_to_rotmat(xi[i, j])
+            told = model.scores(embeddings[i : i + 1], R[None, None], heat.sigma[level[i, j]][None, None])[0, 0]
+            found += float((told - wanted[i, j]).square().sum()) / DIFFUSION.draws
+        assert float(losses[i]) == pytest.approx(found, rel=1e-4)
+
+
+class _KnownScore:
+    """The score of noise on the members of a set (k, 3, 3), exactly, in place of a network."""
+
+    def __init__(self, members):
+        self._members = members
+
+    def scores(self, embeddings, R, sigma):
+        s = float(sigma.flatten()[0])
+        xi = roma.rotmat_to_rotvec(R[:, :, None].mT @ self._members)  # from R to each member, seen from R
+        angles = xi.norm(dim=-1).double().clamp(1e-4, math.pi - 1e-4)
+        flat = angles.numpy().ravel()
+        log_f = torch.from_numpy(np.log(np.maximum(kernel(flat, s), 1e-300))).reshape(angles.shape)
+        slopes = -torch.from_numpy(slope(flat, s)).reshape(angles.shape)
+        weights = torch.softmax(log_f, dim=-1)
+        directions = xi.double() / angles[..., None]
+        return (s * (weights * slopes)[..., None] * directions).sum(2).float()
+
+
+def test_samples_of_a_known_score_are_members_all_alike():
+    members = torch.from_numpy(dihedral_group(3)).float()
+    drawn = reverse_walk(_KnownScore(members), torch.zeros(4, 1), 300, 40, torch.Generator().manual_seed(0))
+    cosines = (torch.einsum("bnij,kij->bnk", drawn, members) - 1.0) / 2.0
+    nearest = cosines.max(-1)
+    assert float(nearest.values.clamp(max=1.0).acos().quantile(0.99)) < 0.05
+    shares = torch.bincount(nearest.indices.flatten(), minlength=6) / nearest.indices.numel()
+    assert (shares - 1.0 / 6.0).abs().max() < 4.0 * math.sqrt(5.0 / 36.0 / 1200)
+
+
+def test_smoothed_samples_are_a_density():
+    samples = torch.from_numpy(uniform_rotations(5, np.random.default_rng(0))).float()[None]
+    anywhere = torch.from_numpy(equivolumetric_grid(3)).float()
+    p = smoothed_samples(samples, 0.2, 0.1).log_density(anywhere)[0].exp()
+    assert float(p.mean()) == pytest.approx(1.0, abs=0.03)
+    assert float(p.min()) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_a_checkpoint_answers_with_its_samples_and_their_density(trained, data, tmp_path):
+    checkpoint = open_checkpoint(trained["diffusion"])
+    assert set(checkpoint.record.calibration) == {"deviation_rad", "uniform_share", "log_likelihood_at_gt"}
+    with load(data / "tetX") as test:
+        path = tmp_path / "preds.h5"
+        assert predict(checkpoint, test, path, torch.device("cpu"), level=1) == ("hypotheses", "density")
+    _, log_p = density_rows(path)[1]
+    assert np.exp(log_p).sum() <= 1.0 + 1e-4
+    assert set(score_file(path, data).tracks) == {"hypotheses", "density"}
