@@ -147,6 +147,12 @@ _add_scores_plot(
     "Draw the coverage and accuracy of hypotheses over the angle.",
 )
 
+_add_scores_plot(
+    "calibration",
+    score_plots.plot_calibration,
+    "Draw how much of the sets the smallest regions of densities hold, over the regions' mass.",
+)
+
 
 @plot.command(epilog=example("symsol-annot plot losses --out losses.png"))
 @click.option("--toy", is_flag=True, help="Hypotheses in a plane that converge, instead of curves.")

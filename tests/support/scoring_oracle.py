@@ -355,6 +355,15 @@ class ScoreOracle:
         def log_p(cell):
             return listed[cell] if cell in listed else math.log(rest)
 
+        p = {cell: math.exp(v) for cell, v in listed.items()}
+
+        def in_region(cell, mass):
+            own = p.get(cell, rest)
+            others = [(value, 1) for value in p.values()] + [(rest, size - len(p))] * (size > len(p))
+            alike = math.fsum(n * value for value, n in others if abs(value - own) <= 1e-5 * own)
+            denser = math.fsum(n * value for value, n in others if value > own * (1 + 1e-5))
+            return min(1.0, max(0.0, (mass - denser) / alike)) if alike else 0.0
+
         expected = [math.exp(v) * to_set[cell] for cell, v in listed.items()]
         expected += [rest * to_set[cell] for cell in range(size) if cell not in listed]
         return {
@@ -363,5 +372,9 @@ class ScoreOracle:
             "log_likelihood_at_gt": (log_p(cell_of_gt) + per_volume, 1),
             "log_likelihood_at_gt_ceiling": (math.log(best[cell_of_gt]) + per_volume, 1),
             "spread_rad": (math.fsum(expected), 1),
-            "spread_at_ceiling_rad": (math.fsum(p * to_set[cell] for cell, p in best.items()), 1),
+            "spread_at_ceiling_rad": (math.fsum(share * to_set[cell] for cell, share in best.items()), 1),
+            **{
+                f"set_in_region_of_{q}_percent": (mean([in_region(cell, q / 100) for cell in cell_of]), 1)
+                for q in (50, 80, 90, 95, 99)
+            },
         }

@@ -1,4 +1,4 @@
-"""Scores as curves: precision and recall over thresholds, coverage over angles."""
+"""Scores as curves: precision and recall over thresholds, coverage over angles, and how much of a set regions hold."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 from symsol_annot.bench.scoring.report import STRATA
 from symsol_annot.bench.scoring.scorers.classifier import CLASSIFIER_SCORING, SWEPT_THRESHOLDS
+from symsol_annot.bench.scoring.scorers.density import DENSITY_SCORING, REGIONS, region_metric
 from symsol_annot.bench.scoring.scorers.hypotheses import ANGLES_DEG, HYPOTHESES_SCORING
 from symsol_annot.bench.scoring.scorers.scorer import TrackScoring
 from symsol_annot.bench.scoring.scores_file import read_scores
@@ -60,6 +61,27 @@ def plot_coverage(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: 
     _plot(scores, path, name, stratum, HYPOTHESES_SCORING, _draw_coverage, axes_options)
 
 
+def plot_calibration(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: str = "all") -> None:
+    """Write how much of the sets the smallest regions of densities hold, over the regions' mass, with 95% intervals.
+
+    A density that is right is on the diagonal; below it, it is surer than it should be.
+
+    Args:
+        scores: files of scores, a curve each.
+        path: a PNG, PDF or SVG.
+        name: of the object.
+        stratum: of its images.
+
+    Raises:
+        ScoresError: a file is broken, or has no density's track about the object, or is of before regions were scored.
+        OutputError: the picture cannot be written.
+        SettingsError: it is none of those forms.
+        MissingExtraError: matplotlib is not installed.
+    """
+    axes_options = {"xlabel": "mass of the region", "ylabel": "share of the set in it", "xlim": _SHARE}
+    _plot(scores, path, name, stratum, DENSITY_SCORING, _draw_calibration, axes_options)
+
+
 def _plot(
     scores: Sequence[AnyPath],
     path: AnyPath,
@@ -104,6 +126,21 @@ def _draw_coverage(axes: Any, method: str, figures: Figures, style: Mapping[str,
         known = {angle: f for angle, f in values.items() if f["low"] is not None and f["high"] is not None}
         ends = ([figure[end] for figure in known.values()] for end in ("low", "high"))
         axes.fill_between(list(known), *ends, color=style["color"], alpha=0.12, linewidth=0)
+
+
+def _draw_calibration(axes: Any, method: str, figures: Figures, style: Mapping[str, Any]) -> None:
+    values = _values(figures, {percent / 100.0: region_metric(percent) for percent in REGIONS})
+    if not values:
+        raise ScoresError(
+            f"the scores of {method} do not say how much of a set regions hold: they are of an earlier version; "
+            "`symsol-annot score` writes them again"
+        )
+    if not axes.lines:
+        axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=0.8, linestyle=":")
+    axes.plot(list(values), [figure["value"] for figure in values.values()], label=label_text(method), **style)
+    known = {mass: f for mass, f in values.items() if f["low"] is not None and f["high"] is not None}
+    ends = ([figure[end] for figure in known.values()] for end in ("low", "high"))
+    axes.fill_between(list(known), *ends, color=style["color"], alpha=0.12, linewidth=0)
 
 
 def _results(paths: Sequence[AnyPath], name: str, scoring: TrackScoring, stratum: str) -> list[tuple[str, Figures]]:

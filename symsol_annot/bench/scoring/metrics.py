@@ -16,6 +16,8 @@ from symsol_annot.rotations.so3 import Angles, Rotations
 Counts = npt.NDArray[np.int64]
 Ratios = npt.NDArray[np.float64]
 
+_AS_PROBABLE = 1e-5  # cells that differ by less are as probable as one another: files have logarithms in 32 bits
+
 # Hypotheses (section 5.2)
 
 
@@ -91,6 +93,34 @@ def log_likelihood(log_probability: npt.NDArray[np.float64], grid_size: int) -> 
     N / pi^2 is one over a cell's volume, with the volume of SO(3) pi^2: the uniform density has ln(1 / pi^2) = -2.2895.
     """
     return float(log_probability.mean() + math.log(grid_size / math.pi**2))
+
+
+def share_in_regions(of_members: Ratios, listed: Ratios, size: int, masses: Ratios) -> Ratios:
+    """Return how much of a set the smallest regions of a density hold (m,): its mean over members.
+
+    The smallest region of a mass q takes cells in descending order of their probability until they hold q. Of cells
+    that are as probable as one another it takes any, so that each counts with the chance that it is taken. A density
+    that is right holds q of the set; a uniform one does for every set.
+
+    Args:
+        of_members: (k,) the probability of each member's cell, -1 for one that is not listed.
+        listed: (n,) probabilities of the cells that are listed; the others share evenly what is left of 1.
+        size: how many cells there are.
+        masses: (m,) q, from 0 to 1.
+    """
+    others = size - len(listed)
+    left = max(0.0, 1.0 - float(listed.sum())) if others else 0.0
+    of_other = left / others if others else 0.0
+    ascending = np.sort(listed)
+    below = np.concatenate([[0.0], np.cumsum(ascending)])
+    p = np.where(of_members < 0.0, of_other, of_members)
+    least, most = p * (1.0 - _AS_PROBABLE), p * (1.0 + _AS_PROBABLE)
+    first, last = np.searchsorted(ascending, least, side="left"), np.searchsorted(ascending, most, side="right")
+    denser = below[-1] - below[last] + np.where(of_other > most, left, 0.0)
+    alike = below[last] - below[first] + np.where((of_other >= least) & (of_other <= most), left, 0.0)
+    chance = (masses[:, None] - denser) / np.maximum(alike, np.finfo(float).tiny)
+    shares: Ratios = np.clip(chance, 0.0, 1.0).mean(axis=1)
+    return shares
 
 
 def spread(listed_probability: npt.NDArray[np.float64], listed_angles_rad: Angles, all_angles_rad: Angles) -> float:

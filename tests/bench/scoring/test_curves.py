@@ -30,6 +30,28 @@ def of_file(path, name, track, stratum, metric, what="value"):
     return json.loads(path.read_text())["objects"][name][track][stratum][metric][what]
 
 
+def test_points_are_how_much_of_the_sets_regions_hold_beside_the_diagonal(figures):
+    score_plots.plot_calibration([TRUTH], Path("x.png"), "tetX")
+    (axes,) = figures[0].axes
+    diagonal, curve = axes.lines
+    assert list(diagonal.get_xdata()) == list(diagonal.get_ydata()) == [0.0, 1.0]
+    wanted = [of_file(TRUTH, "tetX", "density", "all", f"set_in_region_of_{q}_percent") for q in (50, 80, 90, 95, 99)]
+    assert np.allclose(curve.get_xdata(), [0.5, 0.8, 0.9, 0.95, 0.99])
+    assert np.allclose(curve.get_ydata(), wanted)
+
+
+def test_scores_of_before_regions_were_counted_are_refused_by_name(tmp_path):
+    document = json.loads(TRUTH.read_text())
+    scores = document["objects"]["tetX"]
+    for table in (scores["per_image"]["density"], *scores["density"].values()):
+        for name in [name for name in table if "region" in name] if isinstance(table, dict) else ():
+            del table[name]
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(ScoresError, match="earlier version; `symsol-annot score` writes them again"):
+        score_plots.plot_calibration([path], tmp_path / "x.png", "tetX")
+
+
 @pytest.mark.parametrize("stratum", ["all", "shown"])
 def test_points_are_precision_and_recall_at_each_threshold(figures, stratum):
     score_plots.plot_precision_recall([TRUTH, ROUNDED], Path("x.png"), "tetX", stratum)

@@ -17,6 +17,8 @@ from hand_made_truths import (
 from hypothesis import given
 from messy_predictions import index_of
 
+from symsol_annot.bench.scoring.scorers.density import REGIONS, region_metric
+
 
 @quick
 @given(any_group, seeds)
@@ -65,3 +67,21 @@ def test_a_cell_of_a_very_small_probability_has_its_logarithm():
     expected = -1000.0 + np.log(576 / np.pi**2)
     np.testing.assert_allclose(values["log_likelihood"], expected, rtol=0, atol=1e-9)
     np.testing.assert_allclose(values["log_likelihood_at_gt"], expected, rtol=0, atol=1e-9)
+
+
+@quick
+@given(any_group, seeds)
+def test_regions_of_the_best_density_hold_the_sets_as_they_say_and_of_any_more_as_they_grow(group_name, seed):
+    rng = np.random.default_rng(seed)
+    truth = hand_made(group_name, 3, rng)
+    names = [region_metric(percent) for percent in REGIONS]
+    values = score_density(truth, some_density(truth, rng)).values
+    shares = np.stack([values[name] for name in names])
+    assert ((shares >= 0) & (shares <= 1) & (np.diff(shares, axis=0, prepend=0.0) >= 0)).all()
+    rows = []
+    for i in range(3):
+        cells, counts = np.unique(index_of(1).nearest(truth.labels.symmetry_set(i)), return_counts=True)
+        rows.append(dict(zip(cells.tolist(), np.log(counts / counts.sum() * (1 - 1e-12)), strict=True)))
+    best = score_density(truth, as_sparse(rows)).values
+    for percent, name in zip(REGIONS, names, strict=True):
+        np.testing.assert_allclose(best[name], percent / 100.0, atol=1e-6)

@@ -191,3 +191,42 @@ def test_listing_the_cells_that_share_the_rest_changes_no_spread(seed, listed):
     full = np.concatenate([p, np.full(72 - listed, (1 - p.sum()) / (72 - listed))])
     expected = metrics.spread(full, angles, angles)
     assert metrics.spread(p, angles[:listed], angles) == pytest.approx(expected, abs=1e-12)
+
+
+# --- how much of a set the smallest regions of a density hold ---
+
+HALF_AND_80 = np.array([0.5, 0.8])
+
+
+def test_members_count_as_far_as_the_region_reaches_their_cells():
+    listed = np.array([0.1, 0.4, 0.2, 0.3])
+    found = metrics.share_in_regions(np.array([0.4, 0.2]), listed, 4, HALF_AND_80)
+    np.testing.assert_allclose(found, [0.5, 0.75], atol=1e-12)  # the example of docs/metrics.md
+
+
+@pytest.mark.parametrize("listed", [0, 3, 10])
+def test_the_uniform_density_holds_of_every_set_what_it_says(listed):
+    members = np.where(np.arange(5) < listed, 0.1, -1.0)
+    found = metrics.share_in_regions(members, np.full(listed, 0.1), 10, HALF_AND_80)
+    np.testing.assert_allclose(found, HALF_AND_80, atol=1e-12)
+
+
+def test_a_set_that_a_sure_density_misses_is_in_no_region():
+    assert metrics.share_in_regions(np.array([-1.0]), np.array([1.0]), 10, HALF_AND_80).tolist() == [0.0, 0.0]
+    assert metrics.share_in_regions(np.array([-1.0]), np.array([0.97, 0.01]), 3, HALF_AND_80).tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_cells_drawn_from_a_density_are_in_its_regions_as_often_as_they_hold(seed):
+    rng = np.random.default_rng(seed)
+    p = rng.choice([0.1, 0.2, 0.2, 1.0, 3.0], 40)  # many as probable as one another
+    p /= p.sum()
+    listed = p > p.min()
+    masses = np.array([0.05, 0.3, 0.5, 0.9, 0.999])
+    of_each = np.stack(
+        [
+            metrics.share_in_regions(np.array([one if of else -1.0]), p[listed], 40, masses)
+            for one, of in zip(p, listed, strict=True)
+        ]
+    )
+    np.testing.assert_allclose(p @ of_each, masses, atol=1e-9)

@@ -1,6 +1,6 @@
 """How a density on the grid is scored: log-likelihood and spread, each beside that of the best density there."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,8 @@ from symsol_annot.bench.scoring import metrics
 from symsol_annot.bench.scoring.metric import HIGHER, LOWER, NEITHER, Metric, Place, Values
 from symsol_annot.bench.scoring.scorers.scorer import ASKED_OTHERWISE, GridScorer, TrackScoring
 
+REGIONS = (50, 80, 90, 95, 99)  # masses, in percent, of the smallest regions in which members are counted
+SHOWN_REGION = 90
 EXACT_NATS = 0.01  # below the ceiling: all of the mass is on the cells of the set
 
 
@@ -27,6 +29,7 @@ class MeasuredDensity:
         ceiling_at_gt: (b,) the ceiling's.
         spread_rad: (b,) the expected angle to the nearest member.
         spread_at_ceiling_rad: (b,) the ceiling's.
+        in_regions: (b, 5) the share of the members that the smallest regions of the masses REGIONS hold.
     """
 
     at_members: Values
@@ -35,6 +38,16 @@ class MeasuredDensity:
     ceiling_at_gt: Values
     spread_rad: Values
     spread_at_ceiling_rad: Values
+    in_regions: Values
+
+
+def region_metric(percent: int) -> str:
+    """Return the name of the metric that tells how much of a set the smallest region of a mass holds."""
+    return f"set_in_region_of_{percent}_percent"
+
+
+def _in_region(column: int) -> Callable[[MeasuredDensity], Values]:
+    return lambda of: of.in_regions[:, column]
 
 
 METRICS: tuple[Metric[MeasuredDensity], ...] = (
@@ -68,6 +81,17 @@ METRICS: tuple[Metric[MeasuredDensity], ...] = (
         row=6,
         is_detail=True,
     ),
+    *(
+        Metric(
+            region_metric(percent),
+            NEITHER,
+            Place.TABLES if percent == SHOWN_REGION else Place.FILE,
+            _in_region(column),
+            f"share of the set in the region of {percent}%",
+            row=7,
+        )
+        for column, percent in enumerate(REGIONS)
+    ),
 )
 
 
@@ -83,13 +107,15 @@ class DensityScorer(GridScorer):
 
     def _measure(self, block: DensityBlock) -> MeasuredDensity:
         self._try_conventions(block)
-        columns = np.zeros((6, len(block.image_index)))
+        columns, in_regions = np.zeros((6, len(block.image_index))), np.zeros((len(block.image_index), len(REGIONS)))
         for row, i in enumerate(block.image_index.tolist()):  # the angles of one image alone take 2 MiB
-            columns[:, row] = self._measure_image(i, *block.on_grid.row(row))
-        return MeasuredDensity(*columns)
+            columns[:, row], in_regions[row] = self._measure_image(i, *block.on_grid.row(row))
+        return MeasuredDensity(*columns, in_regions)
 
-    def _measure_image(self, i: int, indices: npt.NDArray[np.int64], stored: npt.NDArray[Any]) -> tuple[float, ...]:
-        """Return what is measured of one image, in the order of `MeasuredDensity`."""
+    def _measure_image(
+        self, i: int, indices: npt.NDArray[np.int64], stored: npt.NDArray[Any]
+    ) -> tuple[tuple[float, ...], Values]:
+        """Return what is measured of one image, in the order of `MeasuredDensity`, and what its regions hold."""
         size, symmetry_set = len(self._grid), self._truth.labels.symmetry_set(i)
         members = symmetry_set.members
         log_probability = stored.astype(np.float64)
@@ -101,11 +127,13 @@ class DensityScorer(GridScorer):
         best = shares / len(members)
         at_members, at_gt = (_looked_up(indices, log_probability, at, np.log(rest)) for at in (cells, cell_of_gt))
         best_at_members, best_at_gt = (_looked_up(best_cells, np.log(best), at, 0.0) for at in (cells, cell_of_gt))
-        return (
+        figures = (
             *(metrics.log_likelihood(p, size) for p in (at_members, best_at_members, at_gt, best_at_gt)),
             metrics.spread(listed, angles_rad[indices], angles_rad),
             float(best @ angles_rad[best_cells]),
         )
+        of_members = _looked_up(indices, listed, cells, -1.0)
+        return figures, metrics.share_in_regions(of_members, listed, size, np.array(REGIONS) / 100.0)
 
     def notes(self) -> tuple[str, ...]:
         """Return what its author should know: that another convention fits far better."""
