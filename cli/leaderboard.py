@@ -93,7 +93,7 @@ def _rescore(board: Leaderboard, predictions: Path, data: Path, row: str) -> Non
     with progress_bar(None, "row") as bar:
         found = rescore(board, predictions, data, row, bar.update)
     if found.diff:
-        head = [f"--- {found.row}.json, {found.object}", f"+++ {predictions}, scored by symsol-annot {__version__}"]
+        head = [f"--- {found.file}, {found.object}", f"+++ {predictions}, scored by symsol-annot {__version__}"]
         count = sum(line.startswith("+") for line in found.diff)
         lines = "\n".join([*head, *_first(list(found.diff))])
         raise ScoresError(f"{predictions}: {count} of {found.figures} figures differ from {found.row}:\n{lines}")

@@ -7,6 +7,7 @@ import click
 from click.shell_completion import CompletionItem
 from tqdm import tqdm
 
+from symsol_annot.bench.scoring.metric import LEAST_DECIMALS, MOST_DECIMALS
 from symsol_annot.errors import UnknownObjectError
 from symsol_annot.objects.spec import ObjectSpec, builtin_names, load_object
 from symsol_annot.rendering.camera import DEFAULT_SIZE, SIZE_RANGE
@@ -54,6 +55,11 @@ ENGINE = click.option(
     "--engine", type=click.Choice(list(ENGINES)), default=DEFAULT_ENGINE, show_default=True, help="Blender's engine."
 )
 SPLIT = click.option("--split", type=click.Choice(SPLITS), default="test", show_default=True)
+DECIMALS = click.option(
+    "--decimals",
+    type=click.IntRange(LEAST_DECIMALS, MOST_DECIMALS),
+    help="Round each image's figures in scores.json to so many decimals, for a smaller file.  [default: 12 digits]",
+)
 PREDICTIONS = click.argument("paths", metavar="PREDS.H5...", nargs=-1, required=True, type=click.Path(path_type=Path))
 DATA = click.option(
     "--data",

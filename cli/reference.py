@@ -3,13 +3,14 @@
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import SPLIT, example, progress_bar
+from symsol_annot_cli.parameters import DECIMALS, SPLIT, example, progress_bar
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.reference import ROWS, score_row
+from symsol_annot.bench.scoring.scores_file import write_scores
 from symsol_annot.sets import dataset
-from symsol_annot.system.files import make_folder, write_atomically
+from symsol_annot.system.files import make_folder
 from symsol_annot.system.scratch import Scratch, sweep, temporary_errors
 
 
@@ -18,7 +19,11 @@ from symsol_annot.system.scratch import Scratch, sweep, temporary_errors
 @SPLIT
 @click.option("--row", "rows", type=click.Choice(list(ROWS)), multiple=True, help="One row; may be repeated.  [all]")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("reference"), show_default=True)
-def reference(folders: tuple[Path, ...], split: str, rows: tuple[str, ...], out: Path) -> None:
+@DECIMALS
+@click.option("--gzip", "is_packed", is_flag=True, help="Write ROW.json.gz instead of ROW.json.")
+def reference(
+    folders: tuple[Path, ...], split: str, rows: tuple[str, ...], out: Path, decimals: int | None, *, is_packed: bool
+) -> None:
     """Score reference rows on sets, one per object: the truth, a blind method, random rotations and others.
 
     Writes a scores.json per row, to compare one's own with.
@@ -31,7 +36,7 @@ def reference(folders: tuple[Path, ...], split: str, rows: tuple[str, ...], out:
         for name in chosen:
             bar.set_description(name)
             with temporary_errors(), Scratch() as workplace:
-                document = score_row(name, datasets, workplace.path)
-            write_atomically(out / f"{name}.json", report.to_json(document).encode())
+                document = score_row(name, datasets, workplace.path, decimals=decimals)
+            write_scores(out / f"{name}.json{'.gz' if is_packed else ''}", document)
             say(f"\n{report.tables(document)}")
             bar.update()

@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import DATA, PREDICTIONS, example, progress_bar
+from symsol_annot_cli.parameters import DATA, DECIMALS, PREDICTIONS, example, progress_bar
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
 from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.scores_file import write_scores
 from symsol_annot.bench.scoring.scoring import score as score_predictions
 from symsol_annot.errors import printable
 from symsol_annot.system.files import write_atomically
@@ -24,10 +25,21 @@ from symsol_annot.system.files import write_atomically
     type=click.Path(path_type=Path),
     help="The secret of a sealed test, beside its labels; may be repeated.",
 )
-@click.option("--json", "json_path", type=click.Path(path_type=Path, dir_okay=False), help="Write all figures here.")
+@click.option(
+    "--json",
+    "json_path",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write all figures here; packed where the name ends in .gz.",
+)
+@DECIMALS
 @click.option("--per-image", "csv_path", type=click.Path(path_type=Path, dir_okay=False), help="Write a CSV here.")
 def score(
-    paths: tuple[Path, ...], data: Path, secrets: tuple[Path, ...], json_path: Path | None, csv_path: Path | None
+    paths: tuple[Path, ...],
+    data: Path,
+    secrets: tuple[Path, ...],
+    json_path: Path | None,
+    decimals: int | None,
+    csv_path: Path | None,
 ) -> None:
     """Score predictions: recall, precision and F-measure, with intervals, by stratum.
 
@@ -36,6 +48,8 @@ def score(
     outputs = [path.absolute() for path in (json_path, csv_path) if path]
     if len(set(outputs)) < len(outputs) or not {path.absolute() for path in paths}.isdisjoint(outputs):
         raise click.UsageError("--json and --per-image each need a file of their own, which is none of the predictions")
+    if decimals is not None and not json_path:
+        raise click.UsageError("--decimals goes with --json")
     scores = []
     for path in paths:
         with open_predictions(path, data, secrets) as predictions:
@@ -43,11 +57,11 @@ def score(
             with progress_bar(rows, "row") as bar:
                 bar.set_description(printable(path.name))
                 scores.append(score_predictions(predictions, bar.update))
-    document = report.to_document(scores)
+    document = report.to_document(scores, decimals)
     say(report.tables(document))
     if outputs and any(made.truth.is_sealed for made in scores):
         say("Warning: figures of single images tell labels: of a sealed test, send back the table alone", err=True)
     if json_path:
-        write_atomically(json_path, report.to_json(document).encode())
+        write_scores(json_path, document)
     if csv_path:
         write_atomically(csv_path, report.per_image_csv(scores).encode())

@@ -1,8 +1,11 @@
-"""Makes docs/results/leaderboard/small: .venv/bin/python docs/baselines.py FOLDER [--only STEP] [--object NAME].
+"""Makes a row of the leaderboard: .venv/bin/python docs/baselines.py ROW [--tier TIER] [--object NAME] [--seed SEED].
 
-Renders, trains, predicts and scores the small tier in FOLDER, by the commands that the results then name. The same
-command resumes. Notes that somebody wrote into a result's file are kept. With OMP_NUM_THREADS=1 two
-objects may be trained at once, one on each core.
+Trains, predicts and scores a recipe by the commands that the result's TOML then names, and writes ROW.toml and
+ROW.json.gz to docs/results/leaderboard/TIER; of another seed than 0, ROW-seed-SEED, which the board merges with ROW.
+Re-running the command resumes it. Whatever is finished is not done again, on whichever machine it was done: a folder
+runs/OBJECT-ROW or a file OBJECT-ROW.h5 that is put into the working folder is taken as it is. Sets are looked for in
+its folder `data` (`small` of the small tier), which may have links to them, and rendered where they are not there.
+The scores are of all objects that have predictions. Notes that somebody wrote into a result's file are kept.
 """
 
 import argparse
@@ -10,137 +13,343 @@ import datetime as dt
 import json
 import subprocess
 import sys
+import time
 import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from symsol_annot import __version__
-from symsol_annot.bench.leaderboard.results import SET
+from symsol_annot.bench.leaderboard.results import SET, THESIS
+from symsol_annot.bench.models.devices import choose_device, hardware
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE, read_record
+from symsol_annot.bench.models.training.record import TrainingRecord
+from symsol_annot.bench.scoring.metric import LEAST_DECIMALS
+from symsol_annot.bench.scoring.scores_file import read_scores
+from symsol_annot.errors import DataError, SymsolError
+from symsol_annot.objects.spec import load_object
 from symsol_annot.sets.dataset import load
+from symsol_annot.system.files import write_atomically
+from symsol_annot.system.reading import file_sha256
 
-OBJECTS = ("cylO", "tetX")
-RECIPES = {  # with the objects that they are trained on
-    **dict.fromkeys(("small-wta", "small-rwta", "small-ewta", "small-classifier"), OBJECTS),
-    **dict.fromkeys(("small-classifier-no-encoding", "small-classifier-no-pretraining"), OBJECTS),
-    "small-classifier-k1024": OBJECTS,
-    **dict.fromkeys(("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer"), ("tetX",)),
-}
-SIZE = 64  # of the images, which the networks read as they are
-PLACE = Path(__file__).resolve().parent / "results" / "leaderboard" / "small"
-
-
-def render_command(name):
-    """Return the words that render an object's set."""
-    counts = ["--train", "20000", "--test", "500", "--size", str(SIZE)]
-    return ["symsol-annot", "render", "--object", name, *counts, "--out", "small"]
+BOARD = Path(__file__).resolve().parent / "results" / "leaderboard"
+WORK = Path(__file__).resolve().parent.parent / "build" / "baselines"
+DATA = {"small": "small", "published": "data"}  # the folder of a tier's sets, as the commands of its set.toml have it
+STEPS = ("render", "train", "predict", "score", "write")
+MARKED = ("tetX", "cylO")
+ONE_OBJECT = ("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer")  # rows of tetX alone
 
 
-def train_command(recipe, name):
-    """Return the words that train a recipe on an object."""
-    return ["symsol-annot", "train", recipe, "--data", "small", "--object", name]
+class BaselineError(SymsolError):
+    """A step cannot be done."""
 
 
-def predict_command(recipe, name):
-    """Return the words that predict the test images."""
-    run = f"{name}-{recipe}"
-    return ["symsol-annot", "predict", f"runs/{run}", "--data", "small", "--out", f"{run}.h5"]
+@dataclass(frozen=True)
+class Row:
+    """A recipe that was or will be trained with one seed, on the objects of a tier.
+
+    Attributes:
+        recipe: its name.
+        tier: "small" or "published", a folder of the leaderboard.
+        seed: of the training.
+        folder: that the commands are run in.
+    """
+
+    recipe: str
+    tier: str
+    seed: int
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Of the result's files."""
+        return f"{self.recipe}-seed-{self.seed}" if self.seed else self.recipe
+
+    @property
+    def data(self) -> str:
+        """The folder of the sets, from the working folder."""
+        return DATA[self.tier]
+
+    @property
+    def place(self) -> Path:
+        """Of the result's files."""
+        return BOARD / self.tier
+
+    @property
+    def scores(self) -> Path:
+        """The file of the scores, in the working folder."""
+        return self.folder / f"{self.name}.json.gz"
+
+    def weights(self, name: str) -> Path:
+        """Return the checkpoint of an object."""
+        return self.folder / "runs" / f"{name}-{self.name}" / WEIGHTS_FILE
+
+    def predictions(self, name: str) -> Path:
+        """Return the predictions about an object."""
+        return self.folder / f"{name}-{self.name}.h5"
+
+    def note(self, step: str) -> Path:
+        """Return what is kept of a finished step: "OBJECT-predict", or "score"."""
+        return self.folder / "done" / f"{self.name}-{step}.json"
+
+    def fingerprints(self) -> Mapping[str, str]:
+        """Return the objects of the tier, and the fingerprints of their test splits."""
+        found: Mapping[str, str] = tomllib.loads((self.place / SET).read_text())["fingerprints"]
+        return found
+
+    def objects(self) -> list[str]:
+        """Return the objects that the recipe is trained on: of the published tier all, but of the thesis's two."""
+        there = list(self.fingerprints())
+        of_thesis = {name for t in tomllib.loads((BOARD / THESIS).read_text())["tables"].values() for name in t["rows"]}
+        if self.tier == "published" and self.recipe in of_thesis:
+            there = list(MARKED)
+        return [name for name in there if name == "tetX" or self.recipe not in ONE_OBJECT]
+
+    def predicted(self) -> list[str]:
+        """Return the objects that have predictions."""
+        return [name for name in self.fingerprints() if self.predictions(name).is_file()]
+
+    def train_command(self, name: str) -> list[str]:
+        """Return the words that train the recipe on an object."""
+        seeded = ["--seed", str(self.seed), "--out", f"runs/{name}-{self.name}"] if self.seed else []
+        return ["symsol-annot", "train", self.recipe, "--data", self.data, "--object", name, *seeded]
+
+    def predict_command(self, name: str) -> list[str]:
+        """Return the words that predict an object's test images."""
+        run = f"{name}-{self.name}"
+        return ["symsol-annot", "predict", f"runs/{run}", "--data", self.data, "--out", f"{run}.h5"]
+
+    def score_command(self, names: list[str]) -> list[str]:
+        """Return the words that score the predictions."""
+        files, small = [f"{name}-{self.name}.h5" for name in names], ["--decimals", str(LEAST_DECIMALS)]
+        return ["symsol-annot", "score", *files, "--data", self.data, "--json", self.scores.name, *small]
 
 
-def score_command(recipe):
-    """Return the words that score a recipe's predictions."""
-    files = [f"{name}-{recipe}.h5" for name in RECIPES[recipe]]
-    return ["symsol-annot", "score", *files, "--data", "small", "--json", f"{recipe}.json"]
-
-
-def main():
-    """Run what is asked for, and write the results' files."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", choices=("render", "train", "score"))
-    parser.add_argument("--object", choices=OBJECTS)
+def main() -> None:
+    """Run what is asked for; an error is one message."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("row", help="a recipe, as `symsol-annot train --list` has them")
+    parser.add_argument("--tier", choices=list(DATA), help="[default: small for small-..., else published]")
+    parser.add_argument("--object", action="append", help="may be repeated  [default: those of the row]")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--folder", type=Path, help="the working folder  [default: build/baselines/TIER]")
+    parser.add_argument("--only", choices=STEPS, action="append", help="one step; may be repeated")
     options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
-    for name in [options.object] if options.object else OBJECTS:
-        if options.only in (None, "render"):
-            run(options.folder, render_command(name))
-        if options.only in (None, "train"):
-            for recipe in (recipe for recipe, names in RECIPES.items() if name in names):
-                run(options.folder, train_command(recipe, name))
-    if options.only in (None, "score"):
-        for recipe, names in RECIPES.items():
-            score(options.folder, recipe, names)
-        (PLACE / SET).write_text(image_set(options.folder))
+    tier = options.tier or ("small" if options.row.startswith("small-") else "published")
+    folder = options.folder or WORK / tier
+    try:
+        make(Row(options.row, tier, options.seed, folder), options.object, options.only or STEPS)
+    except SymsolError as error:
+        sys.exit(f"Error: {error}")
+    except subprocess.CalledProcessError as error:
+        sys.exit(error.returncode)
 
 
-def run(folder, words):
+def make(row: Row, objects: list[str] | None, steps: tuple[str, ...] | list[str]) -> None:
+    """Do steps of a row for some objects, or for all that it has."""
+    load_recipe(row.recipe)
+    if unknown := sorted(set(objects or []) - set(row.fingerprints())):
+        raise BaselineError(f"--object {unknown[0]}: the {row.tier} tier has {', '.join(row.fingerprints())}")
+    row.folder.mkdir(parents=True, exist_ok=True)
+    for name in objects or row.objects():
+        for step, do in (("render", render), ("train", train), ("predict", predict)):
+            if step in steps:
+                do(row, name)
+    if "score" in steps:
+        score(row)
+    if "write" in steps:
+        write(row)
+
+
+def run(folder: Path, words: list[str]) -> None:
     """Run a command in a folder, and show it."""
     print("$", " ".join(words), flush=True)
     subprocess.run([Path(sys.executable).with_name(words[0]), *words[1:]], cwd=folder, check=True)
 
 
-def score(folder, recipe, names):
-    """Predict what is not predicted yet, score it, and write the result's files."""
-    for name in names:
-        if not (folder / f"{name}-{recipe}.h5").exists():
-            run(folder, predict_command(recipe, name))
-    run(folder, score_command(recipe))
-    (PLACE / f"{recipe}.json").write_bytes((folder / f"{recipe}.json").read_bytes())
-    (PLACE / f"{recipe}.toml").write_text(result(recipe, folder))
+def render(row: Row, name: str) -> None:
+    """Render an object's set, unless it is there; it has to be the one that the leaderboard is about."""
+    place = row.folder / row.data / name
+    if not is_rendered(place):
+        commands = tomllib.loads((row.place / SET).read_text())["commands"]
+        run(row.folder, next(words for line in commands if name in (words := line.split())))
+    if load(place, "test").fingerprint != row.fingerprints()[name]:
+        raise BaselineError(f"{place}: its test split is not that of {row.place / SET}; move it away to render it anew")
 
 
-def result(recipe, folder):
-    """Return the result's TOML, from what the checkpoints say of their trainings."""
-    names = RECIPES[recipe]
-    records = {name: read_record(folder / "runs" / f"{name}-{recipe}" / WEIGHTS_FILE) for name in names}
-    words = [f(recipe, name) for name in names for f in (train_command, predict_command)]
-    first, file = records[names[0]], load_recipe(recipe)
-    has_negatives = any(file.for_object(name, has_marking=True).needs_rejected_candidates for name in names)
+def is_rendered(place: Path) -> bool:
+    """Tell whether a set's test split is there and whole."""
+    try:
+        load(place, "test")
+    except DataError:
+        return False
+    return True
+
+
+def train(row: Row, name: str) -> None:
+    """Train on an object, from where an earlier run was stopped."""
+    file = row.weights(name)
+    if not file.is_file() or not read_record(file).is_finished:
+        run(row.folder, row.train_command(name))
+
+
+def predict(row: Row, name: str) -> None:
+    """Predict an object's test images, unless that was done by these weights or somewhere else."""
+    finished_record(row, name)
+    path, note, weights = row.predictions(name), row.note(f"{name}-predict"), file_sha256(row.weights(name))
+    known = read_note(note)
+    is_by_these = known.get("weights_sha256", weights) == weights
+    if path.is_file() and is_by_these:
+        return
+    path.unlink(missing_ok=True)  # by other weights
+    start, before = time.monotonic(), known.get("minutes", 0.0) if is_by_these else 0.0
+    try:
+        run(row.folder, row.predict_command(name))
+    finally:  # what was answered before an interruption is kept, so its time counts
+        spent = before + (time.monotonic() - start) / 60
+        device = hardware(choose_device("auto"))
+        write_note(note, {"weights_sha256": weights, "minutes": spent, "device": device})
+
+
+def score(row: Row) -> None:
+    """Score all predictions that there are, unless these were scored."""
+    names = row.predicted()
+    if not names:
+        raise BaselineError(f"{row.folder}: has no predictions of {row.name} to score")
+    if row.scores.is_file():
+        scored = {name: entry["predictions"]["sha256"] for name, entry in read_scores(row.scores)["objects"].items()}
+        if scored == {name: file_sha256(row.predictions(name)) for name in names}:
+            return
+    start = time.monotonic()
+    run(row.folder, row.score_command(names))
+    today = dt.datetime.now(tz=dt.UTC).date()
+    write_note(row.note("score"), {"minutes": (time.monotonic() - start) / 60, "date": today.isoformat()})
+
+
+def write(row: Row) -> None:
+    """Write the result's files."""
+    if not row.scores.is_file():
+        raise BaselineError(f"{row.scores}: is missing; --only score makes it")
+    scores = read_scores(row.scores)["objects"]
+    text = result(row, {name: entry["predictions"]["sha256"] for name, entry in scores.items()})
+    write_atomically(row.place / row.scores.name, row.scores.read_bytes())
+    write_atomically(row.place / f"{row.name}.toml", text.encode())
+    print(f"{row.place / row.name}.toml\nNext:\n  symsol-annot leaderboard {BOARD} --out docs/leaderboard.md")
+
+
+def finished_record(row: Row, name: str) -> TrainingRecord:
+    """Return what a checkpoint says of its training, which has to be of this row and finished."""
+    file = row.weights(name)
+    record = read_record(file)
+    wanted = {"recipe": row.recipe, "object": name, "seed": row.seed}
+    for what, found in {"recipe": record.name, "object": record.object, "seed": record.seed}.items():
+        if found != wanted[what]:
+            raise BaselineError(f"{file}: {what}: expected {wanted[what]!r}, found {found!r}")
+    if not record.is_finished:
+        raise BaselineError(f"{file}: has {record.epochs_done} epochs of {record.epochs}; --only train resumes it")
+    return record
+
+
+def result(row: Row, digests: Mapping[str, str]) -> str:
+    """Return the result's TOML, from what the checkpoints say of their trainings.
+
+    Args:
+        row: whose.
+        digests: of the predictions that were scored, by object.
+    """
+    records = {name: finished_record(row, name) for name in digests}
+    scored, predicted = read_note(row.note("score")), {name: read_note(row.note(f"{name}-predict")) for name in digests}
+    words = [command(name) for name in digests for command in (row.train_command, row.predict_command)]
     head = {
-        "title": file.title.partition(", small")[0],
-        "by": f"symsol-annot {__version__}",
-        "hardware": f"{first.software['device'].removeprefix('cpu ')}, no GPU; torch {first.software['torch']}",
-        "recipe": recipe,
-        "method": recipe,
-        "input_px": SIZE,
-        "given_group": has_negatives,  # rejected candidates are those of the body's group
-        "given_sets": has_negatives,
-        "commands": [" ".join(command) for command in (*words, score_command(recipe))],
+        "title": load_recipe(row.recipe).title.partition(", small")[0],
+        "by": "symsol-annot",
+        "hardware": hardware_in_words(records, predicted),
+        "recipe": row.recipe,
+        "method": row.recipe,
+        "input_px": input_px(records),
+        **knowledge(row),
+        "commands": [" ".join(command) for command in (*words, row.score_command(list(digests)))],
     }
-    lines = [f"{key} = {json.dumps(value, indent=4)}" for key, value in head.items()]
-    lines += [*notes_of(PLACE / f"{recipe}.toml"), f"date = {dt.datetime.now(tz=dt.UTC).date()}"]
+    lines = [f"{key} = {json.dumps(value, indent=4, ensure_ascii=False)}" for key, value in head.items()]
+    lines += [f"score_minutes = {scored['minutes']:.1f}"] if "minutes" in scored else []
+    lines += [
+        *notes_of(row.place / f"{row.name}.toml"),
+        f"date = {scored.get('date', dt.datetime.now(tz=dt.UTC).date())}",
+    ]
     for name, record in records.items():
-        seconds = {what: sum(row[what] for row in record.rows) for what in ("seconds", "processor_seconds")}
-        began = record.first_stage.partition(", sha256")[0]
-        lines += [
-            f"\n[objects.{name}]",
-            f"seed = {record.seed}",
-            f"minutes = {seconds['seconds'] / 60:.1f}",
-            f"processor_minutes = {seconds['processor_seconds'] / 60:.1f}",
-            f"first_stage = {json.dumps(began)}",
-        ]
+        lines += [f"\n[objects.{name}]", f"seed = {record.seed}", f"minutes = {minutes(record, 'seconds'):.1f}"]
+        lines += [f"processor_minutes = {minutes(record, 'processor_seconds'):.1f}"]
+        lines += [f"predict_minutes = {predicted[name]['minutes']:.1f}"] if predicted[name] else []
+        lines += [f"first_stage = {json.dumps(record.first_stage.partition(', sha256')[0], ensure_ascii=False)}"]
+        lines += [f'predictions_sha256 = "{digests[name]}"']
     return "\n".join(lines) + "\n"
 
 
-def notes_of(path):
+def minutes(record: TrainingRecord, what: str) -> float:
+    """Return how many minutes the epochs took, by one of their figures in seconds."""
+    return sum(row.get(what, 0.0) for row in record.rows) / 60
+
+
+def hardware_in_words(records: Mapping[str, TrainingRecord], predicted: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what the models were trained on, and what predicted where that was another device."""
+    trained = in_words({name: device_of(record) for name, record in records.items()})
+    versions = sorted(
+        {f"torch {r.software['torch']}, symsol-annot {r.software['symsol-annot']}" for r in records.values()}
+    )
+    elsewhere = {name: note["device"] for name, note in predicted.items() if note}
+    other = {name: device for name, device in elsewhere.items() if not device_of(records[name]).endswith(device)}
+    predicting = f"; predicting on {in_words(other)}" if other else ""
+    return f"{trained}{predicting}; {'; '.join(versions)}"
+
+
+def device_of(record: TrainingRecord) -> str:
+    """Return the device of a training, without torch's name of its kind."""
+    kind, _, device = record.software["device"].partition(" ")
+    return device if kind == "cpu" else f"GPU {device}"
+
+
+def in_words(devices: Mapping[str, str]) -> str:
+    """Return the device of all objects, or each with its objects where there are several."""
+    kinds = list(dict.fromkeys(devices.values()))
+    if len(kinds) == 1:
+        return kinds[0]
+    return "; ".join(f"{', '.join(n for n, d in devices.items() if d == kind)} on {kind}" for kind in kinds)
+
+
+def input_px(records: Mapping[str, TrainingRecord]) -> int:
+    """Return the side of the images that the networks read."""
+    sides = {record.recipe.input_size or record.image_size[0] for record in records.values()}
+    return max(sides)
+
+
+def knowledge(row: Row) -> dict[str, bool]:
+    """Return what the recipe is told of any object, whatever object it is scored on, so that seeds agree."""
+    file, objects = load_recipe(row.recipe), row.objects()
+    found = [file.for_object(name, has_marking=load_object(name).marking is not None) for name in objects]
+    has_structure = any(getattr(recipe, "structure", "free") != "free" for recipe in found)
+    return {
+        "given_group": has_structure or any(recipe.needs_rejected_candidates for recipe in found),
+        "given_sets": any(recipe.needs_members or recipe.needs_rejected_candidates for recipe in found),
+    }
+
+
+def notes_of(path: Path) -> list[str]:
     """Return the line of notes that a TOML file has; none where there is no file or none in it."""
     known = tomllib.loads(path.read_text()) if path.exists() else {}
     return [f"notes = {json.dumps(known['notes'], ensure_ascii=False)}"] if "notes" in known else []
 
 
-def image_set(folder):
-    """Return the set's TOML."""
-    tests = {name: load(folder / "small" / name, "test") for name in OBJECTS}
-    lines = [
-        'title = "Small: 64x64 images, for a CPU"',
-        'split = "test"',
-        f"images = {len(tests[OBJECTS[0]])}",
-        f"commands = {json.dumps([' '.join(render_command(name)) for name in OBJECTS], indent=4)}",
-        *notes_of(PLACE / SET),
-        "\n[fingerprints]",
-        *(f'{name} = "{test.fingerprint}"' for name, test in tests.items()),
-    ]
-    return "\n".join(lines) + "\n"
+def read_note(path: Path) -> dict[str, Any]:
+    """Return what is kept of a finished step; nothing of one that was finished on another machine."""
+    found: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
+    return found
+
+
+def write_note(path: Path, found: Mapping[str, Any]) -> None:
+    """Keep what a finished step found."""
+    path.parent.mkdir(exist_ok=True)
+    write_atomically(path, json.dumps(found).encode())
 
 
 if __name__ == "__main__":

@@ -8,10 +8,13 @@ import errno
 import hashlib
 import os
 import stat
+import zlib
 from pathlib import Path
 
 _FLAGS = os.O_RDONLY | getattr(os, "O_BINARY", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _BLOCK_BYTES = 2**20
+_AS_GZIP = 16 + zlib.MAX_WBITS
+GZIP_ENDING = ".gz"
 
 
 def open_regular(path: Path) -> int:
@@ -47,6 +50,30 @@ def read_bytes(path: Path, limit: int) -> bytes:
             if len(data) > limit:
                 raise OSError(errno.EFBIG, f"is larger than the {limit:,} bytes that such a file may have", str(path))
     return bytes(data)
+
+
+def read_gzip(path: Path, limit: int) -> bytes:
+    """Return what a regular file of gzip unpacks to.
+
+    Args:
+        path: of the file; a link is followed.
+        limit: how many bytes it may have, packed and unpacked; what unpacks to more is given up there.
+
+    Raises:
+        OSError: as `read_bytes`, or it is no gzip, cut short or damaged, or something follows it.
+    """
+    packed, unpacker = read_bytes(path, limit), zlib.decompressobj(_AS_GZIP)
+    try:
+        data = unpacker.decompress(packed, limit + 1)
+    except zlib.error as error:
+        raise OSError(errno.EINVAL, f"is no gzip, or damaged: {error}", str(path)) from None
+    if len(data) > limit:
+        raise OSError(errno.EFBIG, f"unpacks to more than the {limit:,} bytes that such a file may have", str(path))
+    if not unpacker.eof:
+        raise OSError(errno.EINVAL, "is gzip that was cut short", str(path))
+    if unpacker.unused_data:
+        raise OSError(errno.EINVAL, "is gzip with something behind its end", str(path))
+    return data
 
 
 def read_text(path: Path, limit: int) -> str:

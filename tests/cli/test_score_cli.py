@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import fcntl
+import gzip
 import json
 import os
 import pty
@@ -20,6 +21,7 @@ from score_commands import COMMAND, IMAGES, symsol
 from symsol_annot.bench.predictions.queries import Queries
 from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.reference import ROWS, score_row
+from symsol_annot.bench.scoring.scores_file import read_scores
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.rotations.grid import equivolumetric_grid, grid_sha256
 
@@ -55,6 +57,18 @@ def test_several_files_give_the_benchmarks_table(preds, data, here, tmp_path):
     assert list(json.loads((tmp_path / "s.json").read_text())["objects"]) == ["tetX", "cylO"]
     with (tmp_path / "i.csv").open() as file:
         assert [row["object"] for row in csv.DictReader(file)] == ["tetX"] * 24 + ["cylO"] * 4
+
+
+def test_scores_are_packed_and_rounded_where_asked(preds, data, here, tmp_path):
+    packed = tmp_path / "s.json.gz"
+    done = here("score", preds["tetX"], "--data", data, "--json", packed, "--decimals", "5")
+    assert (done.returncode, done.stderr) == (0, "")
+    document = report.to_document([score_file(preds["tetX"], data)], 5)
+    assert gzip.decompress(packed.read_bytes()).decode() == report.to_json(document)
+    for words, said in ((["--decimals", "5"], "goes with --json"), (["--json", packed, "--decimals", "4"], "5<=x<=12")):
+        refused = here("score", preds["tetX"], "--data", data, *words)
+        assert refused.returncode == 2
+        assert said in refused.stderr
 
 
 def test_validate_says_what_a_good_file_holds(preds, data, here):
@@ -123,6 +137,9 @@ def test_reference_writes_scores_of_every_row(sets, here, tmp_path, monkeypatch)
     written = sorted((tmp_path / "a" / "reference").iterdir())
     assert [path.name for path in written] == ["truth.json", "uniform.json"]
     assert done.stdout.count("tetX, test split, 24 images: ") == 2
+    packed = here("reference", sets["tetX"].folder, "--out", tmp_path, "--row", "truth", "--gzip", "--decimals", "5")
+    assert (packed.returncode, packed.stderr) == (0, "")
+    assert read_scores(tmp_path / "truth.json.gz")["objects"]["tetX"]["per_image"]["decimals"] == 5
     compared = here("compare", *written)
     assert (compared.returncode, compared.stderr) == (0, "")
     assert compared.stdout.startswith("tetX, hypotheses; differences from truth: hypotheses (M = 9)")

@@ -16,10 +16,12 @@ def accounts(board: Leaderboard, link: str) -> Iterator[str]:
             account = result.account
             yield f"### {escaped(f'{folder}/{result.name}')}"
             facts = [f"{escaped(account.title)}, by {escaped(account.by)}, {account.date}", escaped(account.hardware)]
+            facts += [f"all scored in {account.score_minutes:.1f} minutes"] if account.score_minutes is not None else []
             facts += [f"recipe `{account.recipe}`"] if account.recipe else []
             facts += list(_knowledge(account))
             facts += [escaped(account.notes).rstrip(".")] if account.notes else []
-            links = [linked(f"{result.name}.{end}", f"{link}/{folder}/{result.name}.{end}") for end in ("toml", "json")]
+            files = (f"{result.name}.toml", result.scores_file)
+            links = [linked(file, f"{link}/{folder}/{file}") for file in files]
             links += [linked("code", account.code)] if account.code.strip() else []
             yield f"{'. '.join(facts)}. {', '.join(links)}"
             if account.commands:
@@ -42,10 +44,17 @@ def _knowledge(account: Account) -> Iterator[str]:
 
 
 def _training_rows(result: Result) -> Iterator[Sequence[str]]:
-    yield ["", "seed", "training, minutes", "of processor", "began with"]
-    for name, training in result.account.objects.items():
-        used = "" if training.processor_minutes is None else f"{training.processor_minutes:.1f}"
-        yield [escaped(name), str(training.seed), f"{training.minutes:.1f}", used, escaped(training.first_stage)]
+    trainings = result.account.objects
+    with_predicting = any(training.predict_minutes is not None for training in trainings.values())
+    yield ["", "seed", "training, minutes", "of processor", *(["predicting, minutes"] * with_predicting), "began with"]
+    for name, training in trainings.items():
+        minutes = [_minutes(training.minutes), _minutes(training.processor_minutes)]
+        minutes += [_minutes(training.predict_minutes)] * with_predicting
+        yield [escaped(name), str(training.seed), *minutes, escaped(training.first_stage)]
+
+
+def _minutes(minutes: float | None) -> str:
+    return "" if minutes is None else f"{minutes:.1f}"
 
 
 def _digest_rows(result: Result) -> Iterator[Sequence[str]]:

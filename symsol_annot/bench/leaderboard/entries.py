@@ -17,6 +17,7 @@ from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
 from symsol_annot.system.text.names import OBJECT_NAME_RULE, SPLITS, is_object_name, is_split
 
 _ADDRESS = re.compile(r"https://[A-Za-z0-9][A-Za-z0-9._~:/?#@&+,;=%-]{3,500}")  # as it stands in a link of Markdown
+_SHA256 = re.compile(r"[0-9a-f]{64}")
 _LARGEST_INPUT_PX: Final = 2**14
 HOW_IT_WAS_MADE = (
     "commands, code: one of them has to say how the predictions were made: `commands`, a list of what was run, or "
@@ -61,21 +62,25 @@ class Training:
         seed: of the training.
         minutes: it took.
         processor_minutes: of the host's processor, in all threads; None where not known.
+        predict_minutes: to predict the test images; None where not told.
         first_stage: what it began with, where that was trained before.
+        predictions_sha256: of the predictions file, which has to be that of the scores; empty where not told.
     """
 
     seed: int
     minutes: float
     processor_minutes: float | None = None
+    predict_minutes: float | None = None
     first_stage: str = ""
+    predictions_sha256: str = ""
 
     def faults(self) -> Iterator[str]:
         """Say what is wrong with it."""
         if self.seed < 0:
             yield f"seed: expected 0 or more, found {self.seed}"
-        for name, minutes in (("minutes", self.minutes), ("processor_minutes", self.processor_minutes)):
-            if minutes is not None and not 0 <= minutes < math.inf:
-                yield f"{name}: expected a finite number, 0 or more, found {minutes}"
+        yield from _faults_of_minutes(self, "minutes", "processor_minutes", "predict_minutes")
+        if self.predictions_sha256 and not _SHA256.fullmatch(self.predictions_sha256):
+            yield f"predictions_sha256: expected 64 hexadecimal digits, found {shown(self.predictions_sha256)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +92,7 @@ class Account:
         by: who sends it in.
         date: of the scores.
         hardware: what the models were trained on.
+        score_minutes: to score the predictions about all objects; None where not told.
         commands: from the set to the scores; none where `code` says how the predictions were made.
         recipe: of this package, if it was trained by one.
         code: an address, https://.., of the method's code or its description.
@@ -103,6 +109,7 @@ class Account:
     by: str
     date: dt.date
     hardware: str
+    score_minutes: float | None = None
     commands: tuple[str, ...] = ()
     recipe: str = ""
     code: str = ""
@@ -126,6 +133,7 @@ class Account:
             yield f"input_px: expected 1 to {_LARGEST_INPUT_PX} pixels, found {self.input_px}"
         if self.recipe and self.recipe not in builtin_recipes():
             yield f"recipe: there is no {shown(self.recipe)} built in; leave it out"
+        yield from _faults_of_minutes(self, "score_minutes")
         for name, training in self.objects.items():
             yield from (f"objects.{name}.{fault}" for fault in training.faults())
 
@@ -136,11 +144,13 @@ class Result:
 
     Attributes:
         name: of its files.
+        scores_file: the name of the file of its scores.
         account: how it came to be.
         scores: object to what scores.json says of it.
     """
 
     name: str
+    scores_file: str
     account: Account
     scores: Mapping[str, Mapping[str, Any]]
 
@@ -151,11 +161,13 @@ class Reference:
 
     Attributes:
         name: of its file.
+        scores_file: the file's name with its ending.
         method: what it is.
         scores: object to what scores.json says of it.
     """
 
     name: str
+    scores_file: str
     method: str
     scores: Mapping[str, Mapping[str, Any]]
 
@@ -230,6 +242,14 @@ class Leaderboard:
     results: Mapping[str, tuple[Result, ...]]
     references: Mapping[str, tuple[Reference, ...]]
     thesis: Thesis
+
+
+def _faults_of_minutes(entry: Training | Account, *names: str) -> Iterator[str]:
+    """Say which of an entry's times are none."""
+    for name in names:
+        minutes = getattr(entry, name)
+        if minutes is not None and not 0 <= minutes < math.inf:
+            yield f"{name}: expected a finite number, 0 or more, found {minutes}"
 
 
 def _faults_of_objects(names: Iterable[str]) -> Iterator[str]:

@@ -11,7 +11,7 @@ from symsol_annot.bench.leaderboard.picture import PICTURES, picture_name
 from symsol_annot.bench.leaderboard.results import REFERENCE
 from symsol_annot.bench.leaderboard.rows import COUNT, Mark, Row, Table, tables_of
 from symsol_annot.bench.leaderboard.thesis_tables import beside_the_thesis
-from symsol_annot.bench.scoring.metric import Metric
+from symsol_annot.bench.scoring.metric import LEAST_DECIMALS, Metric
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.system.text.markdown import escaped, fenced, linked, tabled
 
@@ -58,7 +58,8 @@ _TAIL = """\
 ## Send in a result
 
 1. Make a set that is listed above, and write predictions: [submission.md](submission.md).
-2. `symsol-annot score preds.h5 --json NAME.json`. Several objects by one method go into one file of scores.
+2. `symsol-annot score preds.h5 --json NAME.json.gz --decimals {decimals}`. Several objects by one method go into one
+   file of scores. NAME.json, and all digits, are taken too; packed and rounded the file is smaller.
 3. Write NAME.toml, as below: `commands`, `code`, or both.
 4. Put both into the set's folder in [{folder}]({link}). `symsol-annot leaderboard {folder} --out {page}`
    checks all files, builds this page and draws its pictures. Open a pull request with what changed.
@@ -81,6 +82,8 @@ notes = "more in words"  # optional
 [objects.cylO]  # one table per object
 seed = 0
 minutes = 95  # of training
+predict_minutes = 4  # optional
+predictions_sha256 = ""  # optional; as in the scores
 ```
 
 Refused are scores that do not rank (`score` warns why), that are about other images, that lack a figure of the tables,
@@ -112,7 +115,7 @@ def to_markdown(board: Leaderboard, folder: str, link: str, page: str) -> str:
     parts += [
         "## How the results were made",
         *accounts(board, link),
-        _TAIL.format(folder=folder, link=link, page=page),
+        _TAIL.format(folder=folder, link=link, page=page, decimals=LEAST_DECIMALS),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
@@ -152,7 +155,7 @@ def _rows(table: Table, folder: str, link: str) -> Iterator[Sequence[str]]:
             *(_figure(table, row, metric) for metric in known),
         ]
         if row.is_reference:
-            about = linked(row.title, f"{link}/{REFERENCE}/{row.names[0]}.json")
+            about = linked(row.title, f"{link}/{REFERENCE}/{row.files[0]}")
             yield [f"*{cell}*" if cell else "" for cell in (about, *cells)]
         else:
             yield [_about(row, folder), *cells]

@@ -3,9 +3,10 @@
     thesis.toml             the thesis's tables
     SET/set.toml            an image set: what makes it, and the fingerprints of its splits
     SET/NAME.toml           a result: who, how, on what
-    SET/NAME.json           its scores, as `score --json` wrote them
+    SET/NAME.json           its scores, as `score --json` wrote them; or packed, NAME.json.gz
                             those that say one `method` differ in their seed alone, and make one row
-    SET/reference/ROW.json  scores of a reference row, as `reference` wrote them; shown beside results, not ranked
+    SET/reference/ROW.json  scores of a reference row, as `reference` wrote them, or ROW.json.gz; shown beside results,
+                            not ranked
 
 A result is held against its set, and its figures against those of its images. Anybody may send such files in: names,
 numbers and shapes are checked here and in `entries.py`, words are escaped by who shows them.
@@ -41,6 +42,7 @@ class _Checked(Protocol):
 T = TypeVar("T", bound=_Checked)
 
 THESIS, SET = "thesis.toml", "set.toml"
+SCORES_ENDINGS = (".json", ".json.gz")
 _SHOWN = 5  # differences of one object
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _NAME = re.compile(r"[A-Za-z0-9._-]+")  # as it stands in links and headings
@@ -91,13 +93,28 @@ def _folders(folder: Path) -> list[Path]:
         raise ScoresError(f"{folder}: cannot be read: {error.strerror}") from None
 
 
-def _names_in(folder: Path, endings: set[str]) -> list[str]:
+def _names_in(folder: Path, endings: Iterable[str]) -> list[str]:
     """Return the names of the files in a folder that have one of the endings, without it."""
     try:
-        found = {p.stem for p in folder.iterdir() if p.suffix in endings and not p.name.startswith(".")}
+        there = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
     except OSError as error:
         raise ScoresError(f"{folder}: cannot be read: {error.strerror}") from None
-    return sorted(found)
+    return sorted({name.removesuffix(ending) for ending in endings for name in there if name.endswith(ending)})
+
+
+def _scores_of(folder: Path, name: str, faults: list[str]) -> tuple[str, dict[str, Any]]:
+    """Return the file of a name's scores and what it says; nothing, and one fault more, where it cannot be used."""
+    files = [f"{name}{ending}" for ending in SCORES_ENDINGS]
+    there = [file for file in files if os.path.lexists(folder / file)]
+    if len(there) > 1:
+        faults.append(f"{folder}: has both {' and '.join(there)}; keep one of them")
+        return there[0], {}
+    file = there[0] if there else files[0]
+    try:
+        return file, read_scores(folder / file)
+    except ScoresError as error:
+        faults.append(str(error))
+        return file, {}
 
 
 def _read(path: Path, kind: type[T], what: str) -> tuple[T | None, list[str]]:
@@ -116,20 +133,16 @@ def _read(path: Path, kind: type[T], what: str) -> tuple[T | None, list[str]]:
 
 def _results(place: Path, image_set: ImageSet) -> tuple[tuple[Result, ...], list[str]]:
     """Return the results on a set, and the faults of their files."""
-    names = [name for name in _names_in(place, {".toml", ".json"}) if f"{name}.toml" != SET]
+    names = [name for name in _names_in(place, (".toml", *SCORES_ENDINGS)) if f"{name}.toml" != SET]
     results, faults = [], [f"{place}: {fault}" for fault in _faults_of_names(names)]
     for name in names:
         account, found = _read(place / f"{name}.toml", Account, "a result")
-        try:
-            scores = read_scores(place / f"{name}.json")
-        except ScoresError as error:
-            found.append(str(error))
-            scores = {}
+        file, scores = _scores_of(place, name, found)
         if account is not None and scores:
             of_scores = [*_faults_of_ranks(scores), *_faults_of_scores(scores, image_set)]
-            found += [f"{place / name}.json: {fault}" for fault in of_scores]
+            found += [f"{place / file}: {fault}" for fault in of_scores]
             found += [f"{place / name}.toml: {fault}" for fault in _faults_of_account(account, scores["objects"])]
-            results.append(Result(name, account, scores["objects"]))
+            results.append(Result(name, file, account, scores["objects"]))
         faults += found
     faults += [f"{place}: {fault}" for fault in _faults_of_methods(results)]
     return tuple(results), faults
@@ -164,8 +177,8 @@ def _faults_of_facts(result: Result, other: Result) -> Iterator[str]:
             for fact in scoring.shown_facts if track in ours and track in theirs else ():
                 if ours[track][fact] != theirs[track][fact]:
                     yield (
-                        f"{result.name}.json: objects.{name}.{track}.{fact}: expected {theirs[track][fact]}, "
-                        f"as {other.name}.json, found {ours[track][fact]}"
+                        f"{result.scores_file}: objects.{name}.{track}.{fact}: expected {theirs[track][fact]}, "
+                        f"as {other.scores_file}, found {ours[track][fact]}"
                     )
 
 
@@ -174,16 +187,13 @@ def _references(place: Path, image_set: ImageSet) -> tuple[tuple[Reference, ...]
     folder = place / REFERENCE
     if not folder.is_dir():
         return (), []
-    names = _names_in(folder, {".json"})
+    names = _names_in(folder, SCORES_ENDINGS)
     rows, faults = [], [f"{folder}: {fault}" for fault in _faults_of_names(names)]
     for name in names:
-        try:
-            scores = read_scores(folder / f"{name}.json")
-        except ScoresError as error:
-            faults.append(str(error))
-            continue
-        faults += [f"{folder / name}.json: {fault}" for fault in _faults_of_scores(scores, image_set)]
-        rows.append(Reference(name, scores["method"], scores["objects"]))
+        file, scores = _scores_of(folder, name, faults)
+        if scores:
+            faults += [f"{folder / file}: {fault}" for fault in _faults_of_scores(scores, image_set)]
+            rows.append(Reference(name, file, scores["method"], scores["objects"]))
     return tuple(rows), faults
 
 
@@ -225,6 +235,11 @@ def _faults_of_account(account: Account, scores: Mapping[str, Any]) -> Iterator[
     if set(account.objects) != set(scores):
         found = ", ".join(name if is_object_name(name) else shown(name) for name in account.objects) or "none"
         yield f"objects: expected those of the scores, {', '.join(scores)}, found {found}"
+        return
+    for name, training in account.objects.items():
+        scored = _sha256_of(scores[name])
+        if training.predictions_sha256 not in ("", scored):
+            yield f"objects.{name}.predictions_sha256: the scores are of other predictions, {shown(scored)}"
 
 
 def _doubled(results: Mapping[str, tuple[Result, ...]]) -> Iterator[str]:

@@ -37,7 +37,8 @@ class Row:
 
     Attributes:
         name: which tells it from other rows, the same in all tables of a set.
-        names: of the files of its results, one per seed; of a reference its own.
+        names: of its results, one per seed; of a reference its own.
+        files: of their scores.
         title: the method.
         by: who sent it in; empty for a reference.
         facts: without which results cannot be compared, such as M.
@@ -51,6 +52,7 @@ class Row:
 
     name: str
     names: tuple[str, ...]
+    files: tuple[str, ...]
     title: str
     by: str = ""
     facts: Mapping[str, Any]
@@ -178,6 +180,7 @@ class _Group:
         row = Row(
             name=(first.account.method if isinstance(first, Result) else "") or first.name,
             names=tuple(result.name for result in results),
+            files=tuple(result.scores_file for result in results),
             title=first.account.title if isinstance(first, Result) else first.method,
             by=first.account.by if isinstance(first, Result) else "",
             facts={fact: entries[0][track][fact] for fact in SCORINGS[track].shown_facts},

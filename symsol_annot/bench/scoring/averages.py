@@ -1,12 +1,15 @@
 """From one figure per image to one figure per stratum: weighted means and their bootstrap intervals."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 Values = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.unsignedinteger[Any]]
 
 DRAWS = 2000
 MIN_IMAGES = 20  # under which an interval would say nothing
@@ -14,6 +17,8 @@ INTERVAL = (2.5, 97.5)  # percentiles
 _SEED = 20240723
 _DRAWS_AT_ONCE = 125
 _COUNTS_AT_ONCE = 2**23  # which bounds the memory that draws of many images take
+_MANY = 2**16  # images: an image that is drawn each time fits 16 bits below it
+_KEPT_COUNTS = 2**24  # of 2000 draws of 8,388 images: 32 MB, for the next table of as many
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,12 +146,22 @@ def resampled(summands: Values, weights: Values) -> Values:
         (DRAWS, columns); the draws are the same for all tables of N images.
     """
     both = np.concatenate([summands, weights], axis=1)
-    sums = np.concatenate([counts @ both for counts in _draws(len(both))])
+    sums = np.concatenate([counts.astype(np.float64) @ both for counts in _draws(len(both))])
     return ratio(sums[:, : summands.shape[1]], sums[:, summands.shape[1] :])
 
 
-def _draws(images: int) -> Iterator[Values]:
-    """Yield how often each image is drawn, some draws at a time: (draws, images). Depends on nothing but the count."""
+def _draws(images: int) -> Iterable[Counts]:
+    """Return how often each image is drawn, some draws at a time: (draws, images). Depends on nothing but the count."""
+    return _kept_draws(images) if DRAWS * images <= _KEPT_COUNTS else _new_draws(images)
+
+
+@lru_cache(maxsize=1)
+def _kept_draws(images: int) -> tuple[Counts, ...]:
+    """Return all draws, and keep them: a leaderboard has many tables of one number of images."""
+    return tuple(_new_draws(images))
+
+
+def _new_draws(images: int) -> Iterator[Counts]:
     rng = np.random.Generator(np.random.PCG64(_SEED))
     at_once = max(1, min(_DRAWS_AT_ONCE, _COUNTS_AT_ONCE // images))
     for start in range(0, DRAWS, at_once):
@@ -154,7 +169,7 @@ def _draws(images: int) -> Iterator[Values]:
         drawn = rng.integers(images, size=(draws, images))
         drawn += images * np.arange(draws)[:, None]
         counts = np.bincount(drawn.reshape(-1), minlength=draws * images)
-        yield counts.reshape(draws, images).astype(np.float64)
+        yield counts.reshape(draws, images).astype(np.uint16 if images < _MANY else np.uint32)
 
 
 def ratio(summands: Values, weights: Values) -> Values:

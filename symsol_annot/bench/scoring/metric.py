@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 HIGHER, LOWER, NEITHER = "higher", "lower", ""  # is better
+LEAST_DECIMALS, MOST_DECIMALS = 5, 12  # that scores.json may have of each image's figures
 _ARROWS = {HIGHER: " ↑", LOWER: " ↓", NEITHER: ""}
 
 Values = npt.NDArray[np.float64]

@@ -102,7 +102,11 @@ ROWS: dict[str, Write] = {
 
 
 def score_row(
-    name: str, datasets: Sequence[Dataset], workplace: str | os.PathLike[str], level: int = STANDARD_LEVEL
+    name: str,
+    datasets: Sequence[Dataset],
+    workplace: str | os.PathLike[str],
+    level: int = STANDARD_LEVEL,
+    decimals: int | None = None,
 ) -> dict[str, Any]:
     """Return the scores document of one reference row on some sets.
 
@@ -111,6 +115,7 @@ def score_row(
         datasets: whole splits, one per object.
         workplace: an empty folder for the predictions files.
         level: of the grid; other levels than the standard one do not rank.
+        decimals: to how many the figures of single images are rounded; None for all digits.
 
     Raises:
         ScoresError: two sets are of one object.
@@ -122,7 +127,7 @@ def score_row(
     for path, dataset in zip(paths, datasets, strict=True):
         ROWS[name](path, dataset, truth_of(dataset), level)
         scores.append(score_file(path, dataset.folder))
-    return report.to_document(scores)
+    return report.to_document(scores, decimals)
 
 
 def _even(known: Truth, i: int) -> Rotations:

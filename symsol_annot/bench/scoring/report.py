@@ -24,6 +24,7 @@ from symsol_annot.rotations.grid import grid_sha256
 
 SCORES_FORMAT = "symsol-annot scores"
 SCORES_FORMAT_VERSION = 1
+DECIMALS = "decimals"  # the key that says to how many each image's figures were rounded
 _WIDTH = 116
 STRATA = ("all", "shown", "hidden", "barely")
 _LISTS = re.compile(r"\[\n[^\[\]{}]*\]")  # innermost lists; a string holds no line break
@@ -33,8 +34,13 @@ F_NOTE = (
 )
 
 
-def to_document(scores: Sequence[ObjectScores]) -> dict[str, Any]:
+def to_document(scores: Sequence[ObjectScores], decimals: int | None = None) -> dict[str, Any]:
     """Return the scores of one method on some objects as a JSON document.
+
+    Args:
+        scores: of each object.
+        decimals: to how many the figures of single images are rounded, which makes the file smaller; None for twelve
+            digits. What is averaged is not rounded.
 
     Raises:
         ScoresError: two files are about one object, or of different methods.
@@ -56,11 +62,11 @@ def to_document(scores: Sequence[ObjectScores]) -> dict[str, Any]:
             **{name: version(name) for name in ("numpy", "scipy", "h5py")},
         },
         "bootstrap": {"draws": DRAWS, "interval": 0.95, "min_images": MIN_IMAGES},
-        "objects": {one.truth.object: _object(one) for one in scores},
+        "objects": {one.truth.object: _object(one, decimals) for one in scores},
     }
 
 
-def _object(scores: ObjectScores) -> dict[str, Any]:
+def _object(scores: ObjectScores, decimals: int | None) -> dict[str, Any]:
     truth = scores.truth
     document: dict[str, Any] = {
         "split": truth.split,
@@ -83,7 +89,7 @@ def _object(scores: ObjectScores) -> dict[str, Any]:
                 for stratum, figures in track.figures.items()
             },
         }
-    document["per_image"] = _per_image(scores)
+    document["per_image"] = _per_image(scores, decimals)
     return document
 
 
@@ -97,15 +103,16 @@ def _figure(figure: Figure) -> dict[str, Any]:
     }
 
 
-def _per_image(scores: ObjectScores) -> dict[str, Any]:
-    """Return what `compare` needs: strata, set sizes and the table's metrics of each image, to twelve digits."""
+def _per_image(scores: ObjectScores, decimals: int | None) -> dict[str, Any]:
+    """Return what `compare` needs: strata, set sizes and the table's metrics of each image."""
     truth = scores.truth
     return {
+        **({} if decimals is None else {DECIMALS: decimals}),
         "set_size": truth.set_sizes.tolist(),
         "strata": {name: np.flatnonzero(rows).tolist() for name, rows in truth.strata.items() if name != "all"},
         **{
             name: {
-                metric: [_number(value) for value in track.per_image.values[metric].tolist()]
+                metric: [_number(value, decimals) for value in track.per_image.values[metric].tolist()]
                 for metric in _tabulated(name, track)
             }
             for name, track in scores.tracks.items()
@@ -118,9 +125,11 @@ def _tabulated(name: str, track: TrackScores) -> list[str]:
     return [metric.name for metric in metrics_shown(name, Place.TABLES) if metric.name in track.per_image.values]
 
 
-def _number(value: float) -> float | None:
-    """Return a JSON number with what digits mean something; null where undefined."""
-    return float(f"{value:.12g}") if math.isfinite(value) else None
+def _number(value: float, decimals: int | None = None) -> float | None:
+    """Return a JSON number with what digits mean something, rounded where asked; null where undefined."""
+    if not math.isfinite(value):
+        return None
+    return float(f"{value:.12g}") if decimals is None else round(value, decimals)
 
 
 def to_json(document: dict[str, Any]) -> str:

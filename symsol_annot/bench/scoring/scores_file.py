@@ -1,9 +1,10 @@
-"""Reading a scores.json, which may have been edited: what it says of each image, and whether its figures follow."""
+"""A scores.json, plain or packed: written, and read as a file that may have been edited; do its figures follow?"""
 
+import gzip
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,12 @@ import numpy.typing as npt
 from symsol_annot.bench.predictions.format import version_fault
 from symsol_annot.bench.predictions.structure import shown
 from symsol_annot.bench.scoring.averages import PerImage, figures
-from symsol_annot.bench.scoring.report import SCORES_FORMAT, SCORES_FORMAT_VERSION, STRATA
+from symsol_annot.bench.scoring.metric import LEAST_DECIMALS, MOST_DECIMALS
+from symsol_annot.bench.scoring.report import DECIMALS, SCORES_FORMAT, SCORES_FORMAT_VERSION, STRATA, to_json
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.errors import ScoresError, bulleted
-from symsol_annot.system.reading import read_bytes
+from symsol_annot.system.files import write_atomically
+from symsol_annot.system.reading import GZIP_ENDING, read_bytes, read_gzip
 from symsol_annot.system.text.names import (
     METHOD_NAME_RULE,
     OBJECT_NAME_RULE,
@@ -27,7 +30,7 @@ from symsol_annot.system.text.names import (
     is_split,
 )
 
-MAX_BYTES = 2**26  # 45,000 images of seven objects have 40 MB per track
+MAX_BYTES = 2**26  # unpacked; 45,000 images of seven objects have 40 MB per track
 _MAX_TABLES = 2**18  # lists and tables in a file, which take 20 times their text in memory; `score` writes thousands
 _MAX_IMAGES = 400_000  # of all objects together; 45,000 of each make 315,000
 _LARGEST = 1e6  # no figure and no set comes near it
@@ -37,16 +40,35 @@ _WORD = re.compile(r"[\w.]{1,80}")
 _ENDS = ("value", "low", "high")
 _COUNTS = ("images", "undefined")
 _DIGITS_LOST = 1e-9  # a scores.json has figures to twelve digits
+_PACKING = 9  # zlib's best level
+
+
+def write_scores(path: str | os.PathLike[str], document: dict[str, Any]) -> None:
+    """Write a document as scores.json, whole or not at all; as gzip, without a date, where the name ends in .gz.
+
+    Raises:
+        OutputError: it cannot be written; what was there before stays.
+    """
+    data = to_json(document).encode()
+    write_atomically(Path(path), gzip.compress(data, _PACKING, mtime=0) if _is_packed(path) else data)
+
+
+def _is_packed(path: str | os.PathLike[str]) -> bool:
+    return Path(path).name.endswith(GZIP_ENDING)
 
 
 def read_scores(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a scores.json, of which every name and every figure that this package uses is then known to be one.
 
+    Args:
+        path: of the file; one that ends in .gz is unpacked.
+
     Raises:
-        ScoresError: it is missing, too large, no JSON, no scores of this version, or damaged.
+        ScoresError: it is missing, too large, packed or as it unpacks, no gzip, no JSON, no scores of this version, or
+            damaged.
     """
     try:
-        text = read_bytes(Path(path), MAX_BYTES)
+        text = (read_gzip if _is_packed(path) else read_bytes)(Path(path), MAX_BYTES)
     except OSError as error:
         raise ScoresError(f"{path}: cannot be read: {error.strerror or error}") from None
     if text.count(b"[") + text.count(b"{") > _MAX_TABLES:
@@ -109,6 +131,8 @@ def _object_faults(entry: Any) -> Iterator[str]:
         yield ".images is no count"
         return
     sizes, strata = per_image.get("set_size"), per_image.get("strata")
+    if not _are_decimals(per_image.get(DECIMALS, MOST_DECIMALS)):
+        yield f".per_image.{DECIMALS}: expected {LEAST_DECIMALS} to {MOST_DECIMALS}"
     if not _is_column(sizes, images) or not all(_is_count(size, _LARGEST) and size for size in sizes):
         yield f".per_image.set_size is no list of {images} counts"
     if not isinstance(strata, dict) or not all(_are_images(rows, images) for rows in strata.values()):
@@ -172,6 +196,10 @@ def _is_averaged(figure: Any) -> bool:
     )
 
 
+def _are_decimals(value: Any) -> bool:
+    return _is_count(value, MOST_DECIMALS + 1) and value >= LEAST_DECIMALS
+
+
 def per_image_table(entry: dict[str, Any], track: str) -> PerImage:
     """Return the figures of each image that an object's scores hold of a track."""
     metrics = {metric.name: metric for metric in SCORINGS[track].metrics}
@@ -195,22 +223,37 @@ def strata_of(entry: dict[str, Any]) -> dict[str, npt.NDArray[np.bool_]]:
 
 
 def figures_that_differ(entry: dict[str, Any]) -> Iterator[str]:
-    """Yield the figures of an object's scores, or ends of their intervals, that its images' figures do not give."""
-    strata = strata_of(entry)
+    """Yield the figures of an object's scores, or ends of their intervals, that its images' figures do not give.
+
+    What was rounded of each image moves a mean by no more than that.
+    """
+    strata, rounding = strata_of(entry), rounding_of(entry)
     for track in (track for track in SCORINGS if track in entry):
         for stratum, computed in figures(per_image_table(entry, track), strata).items():
             for metric, figure in computed.items():
                 found = entry[track][stratum][metric]
                 for end in _ENDS:
-                    if not is_same_figure(found[end], value := getattr(figure, end)):
+                    if not is_same_figure(found[end], value := getattr(figure, end), rounding):
                         where = f"{track}.{stratum}.{metric}.{end}"
                         yield f"{where}: says {shown(found[end])}, its images give {value:.12g}"
 
 
-def is_same_figure(said: float | None, computed: float | None) -> bool:
-    """Tell whether two figures are one to the digits that a scores.json has; None is one that is undefined."""
+def rounding_of(entry: Mapping[str, Any]) -> float:
+    """Return by how much the figures of an object's images may have been rounded; 0 where all digits are there."""
+    decimals = entry["per_image"].get(DECIMALS)
+    return 0.0 if decimals is None else 0.5 * 10.0**-decimals
+
+
+def is_same_figure(said: float | None, computed: float | None, rounding: float = 0.0) -> bool:
+    """Tell whether two figures are one to the digits that a scores.json has.
+
+    Args:
+        said: a figure; None is one that is undefined.
+        computed: another.
+        rounding: by how much one of them may be off.
+    """
     a, b = (np.nan if value is None else value for value in (said, computed))
-    return bool(np.isclose(a, b, _DIGITS_LOST, _DIGITS_LOST, equal_nan=True))
+    return bool(np.isclose(a, b, _DIGITS_LOST, _DIGITS_LOST + rounding, equal_nan=True))
 
 
 def _is_text(value: Any) -> bool:

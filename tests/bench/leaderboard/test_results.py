@@ -1,24 +1,19 @@
 """The leaderboard shows what the files of results say, and refuses files that nobody could check."""
 
-import importlib.util
 import json
 import os
 import re
 import shutil
-import tomllib
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
-from made_boards import IMAGES, ROOT, change_of, edited
+from made_boards import IMAGES, change_of, edited
 
 from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.bench.scoring.metric import Place
 from symsol_annot.bench.scoring.scorers.table import metrics_shown
 from symsol_annot.bench.scoring.scores_file import figures_that_differ
 from symsol_annot.errors import ScoresError
-
-NOTES = 'a "quote", a \\ and an é,\non two lines'
 
 
 @pytest.mark.parametrize(
@@ -185,25 +180,6 @@ def test_no_figure_differs_in_what_score_wrote(folder):
     for name in ("near", "far"):
         document = json.loads((folder / "tiny" / f"{name}.json").read_text())
         assert list(figures_that_differ(document["objects"]["tetX"])) == []
-
-
-@pytest.fixture
-def baselines():
-    """docs/baselines.py, with trainings that took a minute each."""
-    found = importlib.util.spec_from_file_location("baselines", ROOT / "docs" / "baselines.py")
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    row = {"seconds": 60.0, "processor_seconds": 30.0}
-    record = SimpleNamespace(rows=(row,), seed=0, first_stage="random", software={"device": "cpu x", "torch": "2"})
-    module.read_record = lambda _: record
-    return module
-
-
-def test_a_baseline_that_is_made_again_keeps_the_notes_of_its_file(baselines, tmp_path):
-    baselines.PLACE = tmp_path
-    (tmp_path / "small-wta.toml").write_text(f"notes = {json.dumps(NOTES)}\n")
-    assert tomllib.loads(baselines.result("small-wta", tmp_path))["notes"] == NOTES
-    assert "notes" not in tomllib.loads(baselines.result("small-rwta", tmp_path))
 
 
 def test_a_folder_without_the_thesis_is_no_leaderboard(tmp_path):

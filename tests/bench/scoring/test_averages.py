@@ -248,3 +248,19 @@ def test_a_selection_keeps_the_metrics_that_are_named_in_that_order():
     chosen = table.select(["patchy", "plain"])
     assert list(chosen.values) == list(chosen.weights) == ["patchy", "plain"]
     np.testing.assert_array_equal(chosen.values["plain"], table.values["plain"])
+
+
+def test_kept_draws_are_those_of_a_count_that_is_too_large_to_keep(monkeypatch):
+    summands, weights = np.random.default_rng(0).uniform(size=(2, 50, 3))
+    kept = averages.resampled(summands, weights)
+    monkeypatch.setattr(averages, "_KEPT_COUNTS", 0)
+    assert np.array_equal(averages.resampled(summands, weights), kept)
+
+
+def test_another_number_of_images_has_draws_of_its_own():
+    for images in (30, 31, 30):
+        drawn = averages.resampled(np.ones((images, 1)), np.ones((images, 1)))
+        assert np.array_equal(drawn, np.ones((averages.DRAWS, 1)))
+        counts = np.concatenate([np.asarray(part) for part in averages._draws(images)])
+        assert counts.shape == (averages.DRAWS, images)
+        assert (counts.sum(axis=1) == images).all()
