@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from symsol_annot.bench.models.batches import Batch, decode_images, rolled
+from symsol_annot.bench.models.batches import Batch, rolled
 from symsol_annot.bench.models.devices import (
     choose_device,
     full_precision,
@@ -30,8 +30,10 @@ from symsol_annot.bench.models.training.position import rate_position, stage_pos
 from symsol_annot.bench.models.training.pretraining import best_network, trained_networks
 from symsol_annot.bench.models.training.record import MAX_SEED, EpochFigures, TrainingRecord, software
 from symsol_annot.bench.models.training.refusals import refuse_images, refuse_other
+from symsol_annot.bench.models.training.split_reader import SplitReader
 from symsol_annot.errors import SettingsError, TrainingError
 from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.system.cache import Cache
 from symsol_annot.system.locks import held_folder
 from symsol_annot.system.text.names import METHOD_NAME_RULE, is_method_name
 
@@ -53,6 +55,9 @@ class Options:
         device: torch's name of one, or "auto".
         pretrained: hypothesis networks to choose the first stage from; empty for all that lie beside the output folder.
         is_compiled: whether torch.compile makes the first stage faster, after a minute or so.
+        workers: how many threads decode images, or processes read them where memory is too small; as many as cores by
+            default, of processes up to 8. The order of images that processes read follows from their number, too.
+        cache: keeps images that the recipe reduces, for the next training on them.
     """
 
     epochs: int | None = None
@@ -60,6 +65,8 @@ class Options:
     device: str = "auto"
     pretrained: tuple[Path, ...] = ()
     is_compiled: bool = False
+    workers: int | None = None
+    cache: Cache | None = None
 
 
 def train(
@@ -147,18 +154,17 @@ class TrainingLoop:
             self._model.first_stage.compile()
         recipe = record.recipe
         learnt = len(dataset) - recipe.validation_images
+        reader = SplitReader(recipe.input_size, options.workers, options.cache)
         self._source = open_batches(
             dataset[:learnt],
             recipe.batch_size,
             record.seed,
             device,
-            input_size=recipe.input_size,
+            reader=reader,
             with_rejected=recipe.needs_rejected_candidates,
             with_members=recipe.needs_members,
         )
-        self._validation_images = (
-            _validation_images(dataset[learnt:], recipe.input_size) if recipe.validation_images else None
-        )
+        self._validation_images = _validation_images(dataset[learnt:], reader) if recipe.validation_images else None
 
     def _take(self, model: ReferenceModel, dataset: Dataset) -> None:
         """Take a model to the device, and make what trains it."""
@@ -313,8 +319,8 @@ def _first_model(record: TrainingRecord, out: Path, options: Options) -> tuple[R
     return model, f"{file.parent.name}, sha256 {network.sha256}"
 
 
-def _validation_images(dataset: Dataset, input_size: int) -> tuple[Tensor, Labels]:
-    return decode_images(dataset, input_size).images, dataset.labels()
+def _validation_images(dataset: Dataset, reader: SplitReader) -> tuple[Tensor, Labels]:
+    return reader.read(dataset).images, dataset.labels()
 
 
 def _freeze(stage: FirstStage, *, is_frozen: bool) -> None:
