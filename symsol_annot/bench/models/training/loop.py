@@ -26,6 +26,7 @@ from symsol_annot.bench.models.recipe_keys import MAX_EPOCHS, RANDOM, TRAINED_ST
 from symsol_annot.bench.models.training import checkpoints
 from symsol_annot.bench.models.training.batch_sources import generator, open_batches
 from symsol_annot.bench.models.training.curve import plot_curve
+from symsol_annot.bench.models.training.event_log import EVENTS_FOLDER, EventLog, check_event_log
 from symsol_annot.bench.models.training.position import rate_position, stage_position
 from symsol_annot.bench.models.training.pretraining import best_network, trained_networks
 from symsol_annot.bench.models.training.record import MAX_SEED, EpochFigures, TrainingRecord, software
@@ -40,6 +41,7 @@ from symsol_annot.system.text.names import METHOD_NAME_RULE, is_method_name
 OnStart = Callable[[TrainingRecord, int], object]
 OnBatch = Callable[[int], object]
 OnLoss = Callable[[int, float], object]
+OnSteps = Callable[[int, float, float], object]  # the last step, the mean loss since the last that was told, the rate
 OnEpoch = Callable[[TrainingRecord], object]
 _STEPS_BETWEEN_CHECKS = 50  # of the loss: each makes the host wait for the GPU
 
@@ -58,6 +60,7 @@ class Options:
         workers: how many threads decode images, or processes read them where memory is too small; as many as cores by
             default, of processes up to 8. The order of images that processes read follows from their number, too.
         cache: keeps images that the recipe reduces, for the next training on them.
+        has_events: whether losses and figures are written for TensorBoard, too, in a folder in the output folder.
     """
 
     epochs: int | None = None
@@ -67,6 +70,7 @@ class Options:
     is_compiled: bool = False
     workers: int | None = None
     cache: Cache | None = None
+    has_events: bool = False
 
 
 def train(
@@ -91,7 +95,8 @@ def train(
         name: of the recipe, by the rule for a method's; "" where it has none.
         on_start: told what is there already, and how many images an epoch learns from.
         on_batch: told of each batch how many images it has.
-        on_loss: told, every 50 steps, the number of the epoch under way, from 1, and its mean loss up to there.
+        on_loss: told, every 50 steps and after an epoch's last, the number of the epoch under way, from 1, and its
+            mean loss up to there.
         on_epoch: told of each epoch, once it is kept.
 
     Raises:
@@ -101,16 +106,21 @@ def train(
         TrainingError: a loss that is not finite, a GPU's memory that is too small, or a folder of another training.
         WeightsError: first weights that cannot be had, or a damaged checkpoint.
         OutputError: a file that cannot be written.
+        MissingExtraError: events for TensorBoard, which is not installed.
     """
     device = choose_device(options.device)
     record = new_record(recipe, dataset, options, device, name)
     refuse_images(recipe, dataset, device)
+    if options.has_events:
+        check_event_log()
     with held_folder(out), full_precision(benchmark=device.type == "cuda"):
         loop = TrainingLoop(record, dataset, out, options, device)
         on_start(loop.record, loop.images_per_epoch)
-        while not loop.record.is_finished:
-            loop.one_epoch(on_batch, on_loss)
-            on_epoch(loop.record)
+        with EventLog(out / EVENTS_FOLDER if options.has_events else None, loop.record, loop.steps_per_epoch) as log:
+            while not loop.record.is_finished:
+                loop.one_epoch(on_batch, on_loss, log.tell_steps)
+                log.tell_epoch(loop.record)
+                on_epoch(loop.record)
     return loop.record
 
 
@@ -176,24 +186,32 @@ class TrainingLoop:
     @property
     def images_per_epoch(self) -> int:
         """How many images an epoch learns from."""
-        return self._source.batches_per_epoch() * self._source.batch_size
+        return self.steps_per_epoch * self._source.batch_size
 
-    def one_epoch(self, on_batch: OnBatch, on_loss: OnLoss) -> None:
+    @property
+    def steps_per_epoch(self) -> int:
+        """How many steps an epoch has."""
+        return self._source.batches_per_epoch()
+
+    def one_epoch(self, on_batch: OnBatch, on_loss: OnLoss, on_steps: OnSteps = lambda *_: None) -> None:
         """Learn from every image once, evaluate, and keep what came of it."""
-        epoch, steps = self.record.epochs_done, self._source.batches_per_epoch()
+        epoch, steps = self.record.epochs_done, self.steps_per_epoch
         rng = generator(self._device, self.record.seed, epoch, "negatives")
         start, processor_start, images_done = time.perf_counter(), time.process_time(), 0
-        total = torch.zeros((), device=self._device)
+        total, told, told_steps = torch.zeros((), device=self._device), 0.0, 0
         self._model.train()
         for step, batch in enumerate(self._source.batches(epoch)):
             loss = self._step_or_say_what_fits(batch, epoch + step / steps, rng)
-            total += loss
-            if (step + 1) % _STEPS_BETWEEN_CHECKS == 0:
-                self._refuse_nan(float(total), epoch)
-                on_loss(epoch + 1, float(total) / (step + 1))
+            total, done = total + loss, step + 1
+            if done % _STEPS_BETWEEN_CHECKS == 0 or done == steps:
+                so_far = float(total)
+                self._refuse_nan(so_far, epoch)
+                on_loss(epoch + 1, so_far / done)
+                mean, rate = (so_far - told) / (done - told_steps), self._learning_rate_at(epoch + step / steps)
+                on_steps(epoch * steps + done, mean, rate)
+                told, told_steps = so_far, done
             images_done += len(batch.images)
             on_batch(len(batch.images))
-        self._refuse_nan(float(total), epoch)
         figures: EpochFigures = {"epoch": epoch + 1, "loss": float(total) / steps}
         figures |= self._scheduled_figures(epoch + (steps - 1) / steps)
         figures["images_per_second"] = round(images_done / (time.perf_counter() - start), 1)
