@@ -6,7 +6,9 @@ import math
 import re
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from symsol_annot.bench.models.batches import Batch, decode_images
 from symsol_annot.sets.dataset import Dataset
@@ -49,7 +51,7 @@ class SplitReader:
             R_gt = torch.frombuffer(found[math.prod(shape) :], dtype=torch.float32).view(-1, 3, 3)
             return Batch(images, R_gt)
         batch = decode_images(dataset, size, self.workers)
-        self.cache.put(key, *(memoryview(part.numpy()).cast("B") for part in (batch.images, batch.R_gt)))
+        self.cache.put(key, *(_bytes_of(part) for part in (batch.images, batch.R_gt)))
         return batch
 
 
@@ -58,3 +60,7 @@ def _key(dataset: Dataset, size: int) -> str:
     rows = dataset.rows
     named = ["reduced images", _WAY_OF_REDUCING, dataset.fingerprint, rows.start, rows.stop, rows.step, size]
     return hashlib.sha256(json.dumps(named).encode()).hexdigest()
+
+
+def _bytes_of(tensor: Tensor) -> memoryview:
+    return tensor.numpy().reshape(-1).view(np.uint8).data
