@@ -7,19 +7,23 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import click
+from symsol_annot_cli.epoch_table import EpochTable
 from symsol_annot_cli.parameters import DATA, example, progress_bar
 from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
 from symsol_annot.bench.models.recipe import builtin_recipes, load_recipe
 from symsol_annot.bench.predictions.truth import find_set
-from symsol_annot.errors import DataError, SettingsError, printable
+from symsol_annot.errors import DataError, SettingsError
 from symsol_annot.sets import dataset
 from symsol_annot.sets.folders import set_folders
+from symsol_annot.system.cache import Cache, user_cache_folder
 from symsol_annot.system.machine import check_extra
 
 if TYPE_CHECKING:
     from symsol_annot.bench.models.training.record import TrainingRecord
+
+_MAX_WORKERS = 256
 
 
 def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  # noqa: FBT001 - as click calls it
@@ -39,7 +43,8 @@ def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  
 @click.option(
     "--epochs",
     type=click.IntRange(min=1),
-    help="Number of epochs; the schedule is stretched to it.  [default: the recipe's]",
+    help="Number of epochs; the schedule is stretched to it. A higher one than before extends a training.  "
+    "[default: the recipe's]",
 )
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True)
 @click.option("--batch-size", type=click.IntRange(min=2), help="Number of images per step.  [default: the recipe's]")
@@ -57,6 +62,22 @@ def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  
     multiple=True,
     help="Checkpoint to choose a classifier's first stage from; may be repeated.  [default: all beside --out]",
 )
+@click.option(
+    "--workers",
+    type=click.IntRange(1, _MAX_WORKERS),
+    help="Number of threads that decode images, or of processes that read them where memory is too small.  "
+    "[default: as many as cores, up to 8 processes]",
+)
+@click.option(
+    "--cache/--no-cache",
+    "is_cached",
+    default=True,
+    show_default=True,
+    help="Keep the images that a recipe reduces in ~/.cache/symsol-annot, so that they are decoded once.",
+)
+@click.option(
+    "--tensorboard", "has_events", is_flag=True, help="Write losses and figures for TensorBoard, in --out/tensorboard."
+)
 @click.option("--compile", "is_compiled", is_flag=True, help="Use torch.compile.")
 def train(
     recipe: str,
@@ -70,7 +91,10 @@ def train(
     learning_rate: float | None,
     validation_images: int | None,
     pretrained: tuple[Path, ...],
+    workers: int | None,
     *,
+    is_cached: bool,
+    has_events: bool,
     is_compiled: bool,
 ) -> None:
     """Train a reference model on the train split of a set.
@@ -78,6 +102,8 @@ def train(
     RECIPE is a built-in one (--list) or a TOML file. Re-running the command resumes it, even after a crash.
     """
     check_extra("bench", "training")
+    if has_events:
+        check_extra("tensorboard", "--tensorboard")
     file = load_recipe(recipe)
     with dataset.load(_set_in(data, object_name), "train") as images:
         if object_name not in (None, images.object):
@@ -94,7 +120,9 @@ def train(
         place = out or Path("runs") / f"{images.object}-{file.name}"
         from symsol_annot.bench.models.training import loop  # noqa: PLC0415 - slow to import
 
-        options = loop.Options(epochs, seed, device, pretrained, is_compiled)
+        folder = user_cache_folder() if is_cached else None
+        cache = None if folder is None else Cache(folder)
+        options = loop.Options(epochs, seed, device, pretrained, is_compiled, workers, cache, has_events)
         with _Progress(place) as progress:
             record = loop.train(
                 wanted,
@@ -107,7 +135,14 @@ def train(
                 on_loss=progress.tell_loss,
                 on_epoch=progress.tell,
             )
-    say(f"{place}: {record.epochs_done} epochs of {record.epochs}\nNext:\n  symsol-annot predict {place} --data {data}")
+    say(f"{place}: {record.epochs_done} epochs of {record.epochs}, with all figures in metrics.csv")
+    if record.calibration:
+        fitted = ", ".join(f"{name} {value:.4g}" for name, value in record.calibration.items())
+        say(f"Fitted on validation images: {fitted}")
+    say("Next:")
+    if has_events:
+        say(f"  tensorboard --logdir {place.parent}")
+    say(f"  symsol-annot predict {place} --data {data}")
 
 
 def _set_in(data: Path, object_name: str | None) -> Path:
@@ -122,17 +157,22 @@ def _set_in(data: Path, object_name: str | None) -> Path:
 
 
 class _Progress:
-    """A bar over all epochs, a line per epoch, and a word on what is kept after an interruption."""
+    """A bar over all epochs, a table of them, and a word on what is kept after an interruption."""
 
     def __init__(self, place: Path) -> None:
-        self._place = place
+        self._place, self._epochs = place, 0
         self._bar: tqdm[None] | None = None
+        self._table: EpochTable | None = None
 
     def begin(self, record: "TrainingRecord", images_per_epoch: int) -> None:
         """Open the bar, at the epochs that an earlier run finished."""
-        self._bar = progress_bar(record.epochs * images_per_epoch, "image", done=record.epochs_done * images_per_epoch)
-        self._bar.set_description(printable(self._place.name))
-        if record.epochs_done:
+        self._bar = progress_bar(record.epochs * images_per_epoch, "img", done=record.epochs_done * images_per_epoch)
+        self._epochs = record.epochs
+        self._describe(record.epochs_done + 1, "")
+        done, planned = record.extensions[-1] if record.extensions else (0, 0)
+        if record.epochs_done and record.epochs_done == done:
+            _say(f"extended after epoch {record.epochs_done}, from {planned} epochs to {record.epochs}")
+        elif record.epochs_done:
             _say(f"goes on after epoch {record.epochs_done} of {record.epochs}")
 
     def advance(self, images: int) -> None:
@@ -142,15 +182,20 @@ class _Progress:
 
     def tell_loss(self, epoch: int, loss: float) -> None:
         """Show the epoch under way, and its mean loss up to now."""
-        if self._bar:
-            self._bar.set_postfix_str(f"epoch {epoch}, mean loss {loss:.4g}", refresh=False)
+        self._describe(epoch, f" loss {loss:.4g}")
 
     def tell(self, record: "TrainingRecord") -> None:
         """Show the epoch that is finished."""
-        row = dict(record.rows[-1])
-        epoch = int(row.pop("epoch"))
-        figures = ", ".join(f"{name} {value:.4g}" for name, value in row.items())
-        _say(f"epoch {epoch}/{record.epochs}: {figures}")
+        row = record.rows[-1]
+        if self._table is None:
+            self._table = EpochTable(row, record.epochs)
+            _say("\n".join(self._table.heading()))
+        _say(self._table.line(row))
+        self._describe(record.epochs_done + 1, "")
+
+    def _describe(self, epoch: int, loss: str) -> None:
+        if self._bar:
+            self._bar.set_description(f"epoch {min(epoch, self._epochs)}/{self._epochs}{loss}", refresh=False)
 
     def __enter__(self) -> Self:
         return self

@@ -12,6 +12,7 @@ PACKAGES = {
     "gallery": ("plotly",),
     "bench": ("torch", "roma", "safetensors"),
     "cluster": ("distributed",),
+    "tensorboard": ("tensorboard",),
 }
 
 

@@ -1,11 +1,14 @@
 """The command `train`: from a recipe to predictions that are scored, and what it refuses in one message."""
 
+import numpy as np
 import pytest
 import torch
 from made_sets import make_set
+from symsol_annot_cli.epoch_table import EpochTable
 from tiny_training import NARROW
 
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint
+from symsol_annot.bench.models.validation import classifier_figures, hypothesis_figures
 
 torch.set_num_threads(1)
 
@@ -38,7 +41,10 @@ def test_train_predict_and_score_from_the_command_line(data, here, tmp_path, mon
     (tmp_path / "tiny.toml").write_text(RECIPE_TOML)
     done = here("train", "tiny.toml", "--data", data, "--device", "cpu")
     assert (done.returncode, done.stderr) == (0, "")  # no bar where there is no terminal
-    assert "epoch 1/1: loss" in done.stdout
+    assert done.stdout.startswith("A line per epoch: loss is its mean over the epoch, rate is the learning rate")
+    (heading,) = [line for line in done.stdout.splitlines() if line.startswith("epoch ")]
+    (figures,) = [line for line in done.stdout.splitlines() if line.startswith("  1/1 ")]
+    assert len(heading.split()) == len(figures.split())
     assert "symsol-annot predict runs/tetX-tiny" in done.stdout
     again = here("train", "tiny.toml", "--data", data, "--device", "cpu")
     assert again.stdout.startswith("goes on after epoch 1 of 1")
@@ -60,7 +66,41 @@ def test_batch_size_and_learning_rate_are_changed_on_the_command_line(data, here
     recipe = open_checkpoint(tmp_path / "runs" / "tetX-tiny").record.recipe
     assert recipe.batch_size == 4
     assert recipe.learning_rates == pytest.approx((2e-4, 2e-6))
-    assert "epoch 2/2: loss" in done.stdout
+    assert "\n  2/2 " in done.stdout
+
+
+def test_a_training_is_extended_logged_and_its_images_kept_from_the_command_line(data, here, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "tiny.toml").write_text(RECIPE_TOML + "input_size = 8\n")
+    words = ("train", "tiny.toml", "--data", data, "--device", "cpu")
+    assert here(*words, "--no-cache").returncode == 0
+    assert not (tmp_path / "cache").exists()
+    done = here(*words, "--epochs", "2", "--tensorboard", "--workers", "1")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("extended after epoch 1, from 1 epochs to 2\n")
+    assert "tensorboard --logdir runs" in done.stdout
+    assert len(list((tmp_path / "runs" / "tetX-tiny" / "tensorboard").iterdir())) == 1
+    assert len(list((tmp_path / "cache" / "symsol-annot").iterdir())) == 2
+    done = here(*words)
+    assert (done.returncode, "--epochs 2 goes on with it" in done.stderr) == (1, True)
+
+
+def test_no_line_of_the_table_is_wider_than_a_terminal():
+    rows = {
+        "hypotheses": ("winners", "concentration", *hypothesis_figures([(np.eye(3)[None], np.eye(3)[None])])),
+        "classifier": ("is_frozen", *classifier_figures([(1, 1, 1)])),
+        "mixture": ("log_likelihood_at_gt",),
+        "a later one": ("a_figure_without_a_short_name",),
+    }
+    for names in rows.values():
+        row = {"epoch": 1.0, "loss": 1.2345e-5, "learning_rate": 1.2345e-5, "images_per_second": 12345.6}
+        row |= dict.fromkeys(names, 0.123456) | {"seconds": 12345.0, "processor_seconds": 1.0}
+        table = EpochTable(row, 100)
+        lines = [*table.heading(), table.line(row)]
+        assert max(map(len, lines)) <= 80, lines
+        assert len(lines[-1].split()) == len(lines[-2].split()) == len(row) - 1
+    assert EpochTable(row, 100).line({**row, "loss": float("nan")}).split()[1] == "nan"
 
 
 @pytest.mark.parametrize("name", ["..toml", "a b.toml", "..", "-x.toml", "tiny.v2.toml"])

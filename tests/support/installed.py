@@ -3,6 +3,7 @@
 import json
 import re
 
+_TRAIN = ["train", "small-rwta", "--data", "SAMPLE", "--epochs", "1", "--validation-images", "16"]
 # The extra that a command needs, in the order in which they may be run.
 NEEDS = [
     ("render", ["render", "--object", "tetX", "--train", "0", "--test", "2", "--size", "32", "--workers", "1"]),
@@ -11,15 +12,15 @@ NEEDS = [
     ("plot", ["plot", "images", "SAMPLE", "--count", "2", "--out", "images.png"]),
     ("gallery", ["gallery", "SAMPLE", "--limit", "8", "--redrawn", "0"]),
     ("publish", ["publish", "SAMPLE", "--out", "bundle"]),
-    (
-        "bench",
-        ["train", "small-rwta", "--data", "SAMPLE", "--epochs", "1", "--validation-images", "16", "--out", "run"],
-    ),
+    ("bench", [*_TRAIN, "--out", "run"]),
     ("bench", ["predict", "run", "--data", "SAMPLE"]),
 ]
 EXTRAS = tuple(dict.fromkeys(extra for extra, _ in NEEDS))
 # What needs a second extra beside the first.
-TOGETHER = [("bench", "plot", ["plot", "losses", "--out", "losses.png"])]
+TOGETHER = [
+    ("bench", "plot", ["plot", "losses", "--out", "losses.png"]),
+    ("bench", "tensorboard", [*_TRAIN, "--out", "logged", "--tensorboard"]),
+]
 _NOBODY_THERE = "nobody answers"  # what Dask's executor says, as no scheduler is there
 _TRUTH = """
 import symsol_annot
@@ -64,7 +65,7 @@ def check_together(environment, wheel, wanted, folder):
     """So do the commands that need it and another, once that is installed too."""
     for _, other, words in [row for row in TOGETHER if row[0] == wanted]:
         environment.pip("install", "--quiet", f"{wheel}[{other}]")
-        environment.run("symsol-annot", *words, cwd=folder)
+        environment.run("symsol-annot", *_on_sample(environment, words), cwd=folder)
 
 
 def _on_sample(environment, words):

@@ -72,12 +72,13 @@ def reduced(images: Tensor, size: int) -> Tensor:
     return means.round().to(torch.uint8).permute(0, 2, 3, 1).contiguous()
 
 
-def decode_images(dataset: Dataset, size: int = 0) -> Batch:
-    """Return all images of a dataset and their rotations, on the CPU, read by as many threads as cores.
+def decode_images(dataset: Dataset, size: int = 0, workers: int | None = None) -> Batch:
+    """Return all images of a dataset and their rotations, on the CPU, read by several threads.
 
     Args:
         dataset: whose images they are.
         size: the side in pixels that they are `reduced` to; 0 for images as they are.
+        workers: how many threads; as many as cores by default.
 
     Raises:
         DataError: an image is damaged.
@@ -93,6 +94,6 @@ def decode_images(dataset: Dataset, size: int = 0) -> Batch:
 
     everything = range(len(dataset))
     parts = [everything[start : start + _IMAGES_AT_ONCE] for start in range(0, len(dataset), _IMAGES_AT_ONCE)]
-    with ThreadPoolExecutor(cores()) as pool:
+    with ThreadPoolExecutor(workers or cores()) as pool:
         list(pool.map(read, parts))
     return Batch(images, R_gt)

@@ -6,6 +6,7 @@ import torch
 from symsol_annot.bench.models.batches import decode_images
 from symsol_annot.bench.models.training import batch_sources
 from symsol_annot.bench.models.training.batch_sources import InMemory, Streamed, open_batches
+from symsol_annot.bench.models.training.split_reader import SplitReader
 
 
 def test_an_epoch_has_each_image_once_in_an_order_of_its_own(images):
@@ -38,3 +39,13 @@ def test_workers_read_the_same_images_where_memory_is_too_small(images, monkeypa
     R_gt = torch.cat([batch.R_gt for batch in batches])
     assert len(torch.unique(R_gt, dim=0)) == 20
     assert batches[0].images.dtype == torch.uint8
+
+
+def test_as_many_workers_read_as_are_asked_for(images, monkeypatch):
+    monkeypatch.setattr(batch_sources, "free_bytes", lambda _: 1000)
+    monkeypatch.setattr(batch_sources, "cores", lambda: 64)
+    asked = []
+    monkeypatch.setattr(batch_sources, "Streamed", lambda *given: asked.append(given[4]))
+    for workers in (None, 3, 20):
+        open_batches(images, 5, 0, torch.device("cpu"), reader=SplitReader(8, workers))
+    assert asked == [8, 3, 20]

@@ -16,7 +16,7 @@ from tiny_training import CLASSIFIER, CPU, HYPOTHESES, RECIPES
 from symsol_annot.bench.models.inference import predict
 from symsol_annot.bench.models.kinds import MODEL_KINDS
 from symsol_annot.bench.models.methods.hypotheses.method import HypothesisLearner
-from symsol_annot.bench.models.training import checkpoints, loop, pretraining
+from symsol_annot.bench.models.training import checkpoints, loop, pretraining, refusals
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint, read_record
 from symsol_annot.bench.models.training.loop import train
 from symsol_annot.bench.models.training.record import best_epoch
@@ -248,10 +248,10 @@ def test_an_input_that_its_images_have_not_is_refused_before_training(images, tm
 
 def test_bfloat16_is_refused_where_it_is_slow_or_wrong(images, tmp_path, monkeypatch):
     wanted = replace(HYPOTHESES, precision="bfloat16")
-    monkeypatch.setattr(loop, "has_bfloat16", lambda _: False)
+    monkeypatch.setattr(refusals, "has_bfloat16", lambda _: False)
     with pytest.raises(SettingsError, match=r"precision: the recipe asks for bfloat16, which .* does not compute in"):
         train(wanted, images, tmp_path / "run", CPU)
-    monkeypatch.setattr(loop, "has_bfloat16", lambda _: True)
+    monkeypatch.setattr(refusals, "has_bfloat16", lambda _: True)
     with pytest.raises(SettingsError, match="bfloat16 takes images of 17 pixels or more, these have 16; take float32"):
         train(wanted, images, tmp_path / "run", CPU)
     assert not (tmp_path / "run").exists()

@@ -36,6 +36,13 @@ WRONG = {
     "another epoch's row": ({"row_epoch": 3}, "not in 2"),
     "a row without its loss": ({"rows": [{"epoch": 1}]}, "not in 1"),
     "versions that are a list": ({"software": []}, "software: expected texts"),
+    "extensions that are a number": ({"extensions": 1}, "extensions: expected pairs"),
+    "an extension that is no pair": ({"extensions": [[1, 2, 3]]}, "extensions: expected pairs"),
+    "an extension of true": ({"extensions": [[True, 2]]}, "extensions: expected pairs"),
+    "an extension from as many epochs": ({"extensions": [[1, 4]]}, "extensions: expected pairs"),
+    "an extension after more than there were": ({"extensions": [[3, 2]]}, "extensions: expected pairs"),
+    "an extension after nothing": ({"extensions": [[0, 2]]}, "extensions: expected pairs"),
+    "extensions that go back": ({"extensions": [[2, 2], [1, 3]]}, "extensions: expected pairs"),
     "a version that is a number": ({"software": {"torch": 2}}, "software: expected texts"),
 }
 

@@ -15,15 +15,17 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
-from symsol_annot.bench.models.batches import Batch, decode_images, reduced
+from symsol_annot.bench.models.batches import Batch, reduced
 from symsol_annot.bench.models.devices import free_bytes
+from symsol_annot.bench.models.training.split_reader import SplitReader
 from symsol_annot.bench.predictions.truth import HARD_NEGATIVE_RAD
 from symsol_annot.sets.dataset import Dataset, Sample
 from symsol_annot.sets.epoch_order import shuffled_order
 from symsol_annot.system.machine import cores
 
 _DEVICE_SHARE, _HOST_SHARE = 0.5, 0.6  # of free memory that images may take; a network needs the rest
-_MAX_WORKERS = 8
+_MAX_WORKERS = 8  # unless more are asked for
+_AS_THEY_ARE = SplitReader()
 
 
 class BatchSource(Protocol):
@@ -123,7 +125,7 @@ def open_batches(
     seed: int,
     device: torch.device,
     *,
-    input_size: int = 0,
+    reader: SplitReader = _AS_THEY_ARE,
     with_rejected: bool = False,
     with_members: bool = False,
 ) -> BatchSource:
@@ -134,7 +136,7 @@ def open_batches(
         batch_size: of a batch, in images.
         seed: of their order.
         device: where they are needed.
-        input_size: the side in pixels that images are reduced to; 0 for images as they are.
+        reader: reads the images.
         with_rejected: whether batches say which candidates are rejected, `is_rejected`.
         with_members: whether batches say which candidates are in the symmetry set, `is_member`.
 
@@ -144,13 +146,14 @@ def open_batches(
     """
     is_rejected = _rejected(dataset) if with_rejected else None
     is_member = torch.from_numpy(dataset.labels().symmetry_mask) if with_members else None
-    needed = len(dataset) * (input_size**2 or math.prod(dataset.image_size)) * 3
+    needed = len(dataset) * (reader.input_size**2 or math.prod(dataset.image_size)) * 3
     is_free = needed <= _HOST_SHARE * free_bytes(torch.device("cpu"))
     if not is_free:
         labels = _Labels(is_rejected, is_member)
-        return Streamed(dataset, batch_size, seed, device, min(cores(), _MAX_WORKERS), input_size, labels)
+        workers = reader.workers or min(cores(), _MAX_WORKERS)
+        return Streamed(dataset, batch_size, seed, device, workers, reader.input_size, labels)
     fits_device = device.type == "cpu" or needed <= _DEVICE_SHARE * free_bytes(device)
-    images = decode_images(dataset, input_size)._replace(is_rejected=is_rejected, is_member=is_member)
+    images = reader.read(dataset)._replace(is_rejected=is_rejected, is_member=is_member)
     return InMemory(images, batch_size, seed, device, on_device=fits_device)
 
 

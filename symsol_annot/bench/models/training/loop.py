@@ -11,12 +11,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from symsol_annot.bench.models.batches import Batch, decode_images, rolled
+from symsol_annot.bench.models.batches import Batch, rolled
 from symsol_annot.bench.models.devices import (
     choose_device,
     full_precision,
-    hardware,
-    has_bfloat16,
     laid_out_for,
     largest_that_fits,
     takes_bfloat16,
@@ -24,20 +22,26 @@ from symsol_annot.bench.models.devices import (
 from symsol_annot.bench.models.kinds import Recipe, kind_of
 from symsol_annot.bench.models.networks.first_stage import FirstStage
 from symsol_annot.bench.models.networks.reference_model import ReferenceModel
-from symsol_annot.bench.models.recipe_keys import BFLOAT16, LEAST_BFLOAT16_SIZE, MAX_EPOCHS, RANDOM, TRAINED_STARTS
+from symsol_annot.bench.models.recipe_keys import MAX_EPOCHS, RANDOM, TRAINED_STARTS
 from symsol_annot.bench.models.training import checkpoints
 from symsol_annot.bench.models.training.batch_sources import generator, open_batches
 from symsol_annot.bench.models.training.curve import plot_curve
+from symsol_annot.bench.models.training.event_log import EVENTS_FOLDER, EventLog, check_event_log
+from symsol_annot.bench.models.training.position import rate_position, stage_position
 from symsol_annot.bench.models.training.pretraining import best_network, trained_networks
 from symsol_annot.bench.models.training.record import MAX_SEED, EpochFigures, TrainingRecord, software
-from symsol_annot.errors import NotAnnotatedError, SettingsError, TrainingError, bulleted
+from symsol_annot.bench.models.training.refusals import refuse_images, refuse_other
+from symsol_annot.bench.models.training.split_reader import SplitReader
+from symsol_annot.errors import SettingsError, TrainingError
 from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.system.cache import Cache
 from symsol_annot.system.locks import held_folder
 from symsol_annot.system.text.names import METHOD_NAME_RULE, is_method_name
 
 OnStart = Callable[[TrainingRecord, int], object]
 OnBatch = Callable[[int], object]
 OnLoss = Callable[[int, float], object]
+OnSteps = Callable[[int, float, float], object]  # the last step, the mean loss since the last that was told, the rate
 OnEpoch = Callable[[TrainingRecord], object]
 _STEPS_BETWEEN_CHECKS = 50  # of the loss: each makes the host wait for the GPU
 
@@ -47,11 +51,16 @@ class Options:
     """How a recipe is carried out.
 
     Attributes:
-        epochs: in place of the recipe's, whose schedule is stretched or shortened to them.
+        epochs: in place of the recipe's, whose schedule is stretched or shortened to them; more than a training in
+            the output folder was to have extend it.
         seed: of the first weights, the order of images, and random rotations.
         device: torch's name of one, or "auto".
         pretrained: hypothesis networks to choose the first stage from; empty for all that lie beside the output folder.
         is_compiled: whether torch.compile makes the first stage faster, after a minute or so.
+        workers: how many threads decode images, or processes read them where memory is too small; as many as cores by
+            default, of processes up to 8. The order of images that processes read follows from their number, too.
+        cache: keeps images that the recipe reduces, for the next training on them.
+        has_events: whether losses and figures are written for TensorBoard, too, in a folder in the output folder.
     """
 
     epochs: int | None = None
@@ -59,6 +68,9 @@ class Options:
     device: str = "auto"
     pretrained: tuple[Path, ...] = ()
     is_compiled: bool = False
+    workers: int | None = None
+    cache: Cache | None = None
+    has_events: bool = False
 
 
 def train(
@@ -83,7 +95,8 @@ def train(
         name: of the recipe, by the rule for a method's; "" where it has none.
         on_start: told what is there already, and how many images an epoch learns from.
         on_batch: told of each batch how many images it has.
-        on_loss: told, every 50 steps, the number of the epoch under way, from 1, and its mean loss up to there.
+        on_loss: told, every 50 steps and after an epoch's last, the number of the epoch under way, from 1, and its
+            mean loss up to there.
         on_epoch: told of each epoch, once it is kept.
 
     Raises:
@@ -93,16 +106,21 @@ def train(
         TrainingError: a loss that is not finite, a GPU's memory that is too small, or a folder of another training.
         WeightsError: first weights that cannot be had, or a damaged checkpoint.
         OutputError: a file that cannot be written.
+        MissingExtraError: events for TensorBoard, which is not installed.
     """
     device = choose_device(options.device)
     record = new_record(recipe, dataset, options, device, name)
-    _check(recipe, dataset, device)
+    refuse_images(recipe, dataset, device)
+    if options.has_events:
+        check_event_log()
     with held_folder(out), full_precision(benchmark=device.type == "cuda"):
         loop = TrainingLoop(record, dataset, out, options, device)
         on_start(loop.record, loop.images_per_epoch)
-        while not loop.record.is_finished:
-            loop.one_epoch(on_batch, on_loss)
-            on_epoch(loop.record)
+        with EventLog(out / EVENTS_FOLDER if options.has_events else None, loop.record, loop.steps_per_epoch) as log:
+            while not loop.record.is_finished:
+                loop.one_epoch(on_batch, on_loss, log.tell_steps)
+                log.tell_epoch(loop.record)
+                on_epoch(loop.record)
     return loop.record
 
 
@@ -130,12 +148,14 @@ class TrainingLoop:
         self.record, self._out, self._device = record, out, device
         if _is_begun(out):
             there, state = checkpoints.read_checkpoint_file(out / checkpoints.STATE_FILE)
-            _refuse_other(out, there, record)
+            refuse_other(out, there, record, may_extend=options.epochs is not None)
             self._take(checkpoints.new_model(record.recipe, None, record.seed), dataset)
             checkpoints.restore(out / checkpoints.STATE_FILE, state.tensors, self._model, self._optimizer)
             del state  # as large as model and optimiser
             self.record = replace(there, software=record.software)
             self._publish()
+            if there.epochs < record.epochs:  # kept with the first epoch that follows
+                self.record = self.record.extended_to(record.epochs)
         else:
             model, first_stage = _first_model(record, out, options)
             self.record = replace(record, first_stage=first_stage)
@@ -144,18 +164,17 @@ class TrainingLoop:
             self._model.first_stage.compile()
         recipe = record.recipe
         learnt = len(dataset) - recipe.validation_images
+        reader = SplitReader(recipe.input_size, options.workers, options.cache)
         self._source = open_batches(
             dataset[:learnt],
             recipe.batch_size,
             record.seed,
             device,
-            input_size=recipe.input_size,
+            reader=reader,
             with_rejected=recipe.needs_rejected_candidates,
             with_members=recipe.needs_members,
         )
-        self._validation_images = (
-            _validation_images(dataset[learnt:], recipe.input_size) if recipe.validation_images else None
-        )
+        self._validation_images = _validation_images(dataset[learnt:], reader) if recipe.validation_images else None
 
     def _take(self, model: ReferenceModel, dataset: Dataset) -> None:
         """Take a model to the device, and make what trains it."""
@@ -167,26 +186,34 @@ class TrainingLoop:
     @property
     def images_per_epoch(self) -> int:
         """How many images an epoch learns from."""
-        return self._source.batches_per_epoch() * self._source.batch_size
+        return self.steps_per_epoch * self._source.batch_size
 
-    def one_epoch(self, on_batch: OnBatch, on_loss: OnLoss) -> None:
+    @property
+    def steps_per_epoch(self) -> int:
+        """How many steps an epoch has."""
+        return self._source.batches_per_epoch()
+
+    def one_epoch(self, on_batch: OnBatch, on_loss: OnLoss, on_steps: OnSteps = lambda *_: None) -> None:
         """Learn from every image once, evaluate, and keep what came of it."""
-        epoch, steps = self.record.epochs_done, self._source.batches_per_epoch()
+        epoch, steps = self.record.epochs_done, self.steps_per_epoch
         rng = generator(self._device, self.record.seed, epoch, "negatives")
         start, processor_start, images_done = time.perf_counter(), time.process_time(), 0
-        total = torch.zeros((), device=self._device)
+        total, told, told_steps = torch.zeros((), device=self._device), 0.0, 0
         self._model.train()
         for step, batch in enumerate(self._source.batches(epoch)):
-            loss = self._step_or_say_what_fits(batch, self._on_recipes_scale(epoch + step / steps), rng)
-            total += loss
-            if (step + 1) % _STEPS_BETWEEN_CHECKS == 0:
-                self._refuse_nan(float(total), epoch)
-                on_loss(epoch + 1, float(total) / (step + 1))
+            loss = self._step_or_say_what_fits(batch, epoch + step / steps, rng)
+            total, done = total + loss, step + 1
+            if done % _STEPS_BETWEEN_CHECKS == 0 or done == steps:
+                so_far = float(total)
+                self._refuse_nan(so_far, epoch)
+                on_loss(epoch + 1, so_far / done)
+                mean, rate = (so_far - told) / (done - told_steps), self._learning_rate_at(epoch + step / steps)
+                on_steps(epoch * steps + done, mean, rate)
+                told, told_steps = so_far, done
             images_done += len(batch.images)
             on_batch(len(batch.images))
-        self._refuse_nan(float(total), epoch)
         figures: EpochFigures = {"epoch": epoch + 1, "loss": float(total) / steps}
-        figures |= self._scheduled_figures(self._on_recipes_scale(epoch + (steps - 1) / steps))
+        figures |= self._scheduled_figures(epoch + (steps - 1) / steps)
         figures["images_per_second"] = round(images_done / (time.perf_counter() - start), 1)
         self._refuse_nan(sum(float(tensor.float().abs().sum()) for tensor in self._kept_tensors()), epoch)
         if self._validation_images:
@@ -210,14 +237,13 @@ class TrainingLoop:
         if self.record.rows and importlib.util.find_spec("matplotlib"):
             plot_curve(self._out / checkpoints.CURVE_FILE, self.record)
 
-    def _on_recipes_scale(self, epoch: float) -> float:
-        """Return where an epoch of this training lies in the recipe, which may have fewer or more epochs."""
-        return epoch * self.record.recipe.epochs / self.record.epochs
+    def _learning_rate_at(self, epoch: float) -> float:
+        return self.record.recipe.learning_rate_at(rate_position(self.record, epoch))
 
     def _scheduled_figures(self, epoch: float) -> EpochFigures:
-        """Return what the recipe schedules at an epoch on its scale."""
-        recipe = self.record.recipe
-        return {"learning_rate": recipe.learning_rate_at(epoch), **recipe.figures_at(epoch)}
+        """Return what the recipe schedules at an epoch of this training."""
+        stage = stage_position(self.record, epoch)
+        return {"learning_rate": self._learning_rate_at(epoch), **self.record.recipe.figures_at(stage)}
 
     def _step_or_say_what_fits(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:
         try:
@@ -225,9 +251,9 @@ class TrainingLoop:
         except torch.cuda.OutOfMemoryError:
             pass  # what the step held is let go only outside of this block
         self._optimizer.zero_grad(set_to_none=True)
-        size = len(batch.images)
+        size, stage = len(batch.images), stage_position(self.record, epoch)
         fitting = largest_that_fits(
-            lambda count: torch.autograd.backward(self._learner.losses(batch.rows(slice(count)), epoch, rng).mean()),
+            lambda count: torch.autograd.backward(self._learner.losses(batch.rows(slice(count)), stage, rng).mean()),
             size // 2,
         )
         advice = (
@@ -241,11 +267,11 @@ class TrainingLoop:
         )
 
     def _step(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:
-        recipe = self.record.recipe
-        _freeze(self._model.first_stage, is_frozen=recipe.is_frozen_at(epoch))
+        recipe, stage = self.record.recipe, stage_position(self.record, epoch)
+        _freeze(self._model.first_stage, is_frozen=recipe.is_frozen_at(stage))
         for group in self._optimizer.param_groups:
-            group["lr"] = recipe.learning_rate_at(epoch)
-        loss = self._learner.losses(rolled(batch) if recipe.rolls else batch, epoch, rng).mean()
+            group["lr"] = self._learning_rate_at(epoch)
+        loss = self._learner.losses(rolled(batch) if recipe.rolls else batch, stage, rng).mean()
         self._optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         if recipe.clip_norm:
@@ -255,10 +281,9 @@ class TrainingLoop:
 
     def _refuse_nan(self, value: float, epoch: int) -> None:
         if not math.isfinite(value):
-            rate = self.record.recipe.learning_rate_at(self._on_recipes_scale(epoch))
             raise TrainingError(
                 f"the loss or a weight is no longer finite in epoch {epoch + 1}: a learning rate of "
-                f"{rate:g} is too high for this recipe, or the images are damaged "
+                f"{self._learning_rate_at(epoch):g} is too high for this recipe, or the images are damaged "
                 f"(`symsol-annot verify` tells). {self._kept()}"
             )
 
@@ -295,62 +320,9 @@ def new_record(recipe: Recipe, dataset: Dataset, options: Options, device: torch
     )
 
 
-def _check(recipe: Recipe, dataset: Dataset, device: torch.device) -> None:
-    side = min(dataset.image_size)
-    if recipe.input_size > side:
-        raise SettingsError(
-            f"{dataset.folder}: its images have {side} pixels a side, and the recipe's input_size is "
-            f"{recipe.input_size}: render them with --size {recipe.input_size} or more, or take a smaller input_size"
-        )
-    if recipe.precision == BFLOAT16 and not has_bfloat16(device):
-        raise SettingsError(
-            f"precision: the recipe asks for bfloat16, which {hardware(device)} does not compute in by itself, so that "
-            'it would be slower; take precision = "float32"'
-        )
-    if recipe.precision == BFLOAT16 and (recipe.input_size or side) < LEAST_BFLOAT16_SIZE:
-        raise SettingsError(
-            f"precision: bfloat16 takes images of {LEAST_BFLOAT16_SIZE} pixels or more, these have {side}; take float32"
-        )
-    left = len(dataset) - recipe.validation_images
-    if left < 2:
-        raise SettingsError(
-            f"{dataset.folder}: its train split has {len(dataset)} images, of which the recipe takes "
-            f"{recipe.validation_images} for validation; 2 or more have to be left. --validation-images N takes fewer"
-        )
-    if dataset.is_annotated:
-        return
-    if recipe.validation_images:
-        raise NotAnnotatedError(
-            f"{dataset.folder}: the train split was rendered without symmetry sets, so its validation images cannot be "
-            "scored. `symsol-annot render --annotate all` gives every split its sets; --validation-images 0 trains "
-            "unscored"
-        )
-    if recipe.needs_members:
-        raise NotAnnotatedError(
-            f"{dataset.folder}: the train split was rendered without symmetry sets, and the recipe learns from their "
-            "members. `symsol-annot render --annotate all` gives every split its sets"
-        )
-    if recipe.needs_rejected_candidates:
-        raise NotAnnotatedError(
-            f"{dataset.folder}: the train split was rendered without symmetry sets, and the recipe's hard_negatives "
-            "are the candidates outside of them. `symsol-annot render --annotate all` gives every split its sets; "
-            "hard_negatives = 0 needs none"
-        )
-
-
 def _is_begun(out: Path) -> bool:
     """Tell whether a folder holds something under the name of a state: what it is, shows when it is opened."""
     return os.path.lexists(out / checkpoints.STATE_FILE)
-
-
-def _refuse_other(out: Path, there: TrainingRecord, record: TrainingRecord) -> None:
-    differences = there.differences(record)
-    if differences:
-        raise TrainingError(
-            f"{out} holds another training; nothing was touched. It differs in:\n"
-            + bulleted(differences)
-            + "\nUse another --out folder, or delete that one."
-        )
 
 
 def _first_model(record: TrainingRecord, out: Path, options: Options) -> tuple[ReferenceModel, str]:
@@ -365,8 +337,8 @@ def _first_model(record: TrainingRecord, out: Path, options: Options) -> tuple[R
     return model, f"{file.parent.name}, sha256 {network.sha256}"
 
 
-def _validation_images(dataset: Dataset, input_size: int) -> tuple[Tensor, Labels]:
-    return decode_images(dataset, input_size).images, dataset.labels()
+def _validation_images(dataset: Dataset, reader: SplitReader) -> tuple[Tensor, Labels]:
+    return reader.read(dataset).images, dataset.labels()
 
 
 def _freeze(stage: FirstStage, *, is_frozen: bool) -> None:

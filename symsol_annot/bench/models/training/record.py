@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from symsol_annot.rendering.camera import SIZE_RANGE
 from symsol_annot.system.text.names import METHOD_NAME_RULE, OBJECT_NAME_RULE, is_method_name, is_object_name
 
 _FORMAT, _FORMAT_VERSION = "symsol-annot checkpoint", 1
-_SETTING = ("recipe", "object", "image_size", "train_fingerprint", "epochs", "seed")  # what decides the weights
+_SETTING = ("recipe", "object", "image_size", "train_fingerprint", "seed")  # what decides the weights, with the epochs
 
 _MAX_TEXT, _MAX_TEXTS = 1000, 64  # characters of what a record says in words; how many figures or versions
 _ALWAYS, _LARGEST_FIGURE = ("loss", "learning_rate"), 1e300
@@ -52,6 +52,8 @@ class TrainingRecord:
         rows: the figures of each finished epoch, its number and loss among them; NaN where one is undefined.
         software: versions, and what it ran on.
         calibration: what was fitted on validation images after the last epoch, by names.
+        extensions: for each time that more epochs were asked for, in that order: after how many epochs, and how many
+            there were to be until then. Their schedule was that of so many; the rest is scheduled for `epochs`.
     """
 
     name: str
@@ -65,6 +67,7 @@ class TrainingRecord:
     rows: tuple[EpochFigures, ...]
     software: Mapping[str, str]
     calibration: Mapping[str, float] = field(default_factory=dict)
+    extensions: tuple[tuple[int, int], ...] = ()
 
     @property
     def epochs_done(self) -> int:
@@ -83,6 +86,11 @@ class TrainingRecord:
             for name in _SETTING
             if getattr(self, name) != getattr(other, name)
         ]
+
+    def extended_to(self, epochs: int) -> "TrainingRecord":
+        """Return the record of this training with more epochs to come; without a calibration, which is of its end."""
+        extensions = (*self.extensions, (self.epochs_done, self.epochs))
+        return replace(self, epochs=epochs, extensions=extensions, calibration={})
 
 
 def software(device: torch.device, precision: str) -> dict[str, str]:
@@ -137,8 +145,9 @@ def record_from_metadata(metadata: Mapping[str, str], file: Path) -> TrainingRec
 def record_to_metadata(record: TrainingRecord) -> dict[str, str]:
     """Return the texts by their names that `record_from_metadata` reads."""
     rest = {part.name: getattr(record, part.name) for part in fields(record) if part.name != "recipe"}
-    if not record.calibration:  # as in records of before there was one
-        del rest["calibration"]
+    for name in ("calibration", "extensions"):
+        if not rest[name]:  # as in records of before there was one
+            del rest[name]
     return {
         "format": _FORMAT,
         "format_version": str(_FORMAT_VERSION),
@@ -180,6 +189,11 @@ def _parsed(metadata: Mapping[str, str], source: str) -> TrainingRecord:
         and all(_is_text(name) and _is_figure(value) for name, value in calibration.items()),
         "calibration: expected numbers by their names",
     )
+    extensions = known.get("extensions", [])
+    _require(
+        _are_extensions(extensions, len(rows), known["epochs"]),
+        "extensions: expected pairs of epochs that were done and planned, ascending",
+    )
     return TrainingRecord(
         name=known["name"],
         recipe=recipe_from_toml(metadata["recipe"], source),
@@ -192,6 +206,7 @@ def _parsed(metadata: Mapping[str, str], source: str) -> TrainingRecord:
         rows=tuple({name: float(value) for name, value in row.items()} for row in rows),
         software=software,
         calibration=calibration,
+        extensions=tuple((done, planned) for done, planned in extensions),
     )
 
 
@@ -210,6 +225,20 @@ def _is_text(value: Any) -> bool:
 
 def _is_figure(value: Any) -> bool:
     return type(value) in (int, float) and abs(value) <= _LARGEST_FIGURE
+
+
+def _are_extensions(pairs: Any, epochs_done: int, epochs: int) -> bool:
+    """Tell whether each pair has no fewer epochs done than the one before and more planned, up to what there is now."""
+    if not isinstance(pairs, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+        return False
+    least_done, least_planned = 1, 1
+    for done, planned in pairs:
+        if not _is_whole(planned, least_planned, epochs - 1) or not _is_whole(
+            done, least_done, min(planned, epochs_done)
+        ):
+            return False
+        least_done, least_planned = done, planned + 1
+    return True
 
 
 def _are_figures(row: Any, epoch: int) -> bool:
