@@ -110,7 +110,8 @@ class DensityScorer(GridScorer):
         columns, in_regions = np.zeros((6, len(block.image_index))), np.zeros((len(block.image_index), len(REGIONS)))
         for row, i in enumerate(block.image_index.tolist()):  # the angles of one image alone take 2 MiB
             columns[:, row], in_regions[row] = self._measure_image(i, *block.on_grid.row(row))
-        return MeasuredDensity(*columns, in_regions)
+        at_members, best_at_members, at_gt, best_at_gt, spread_rad, best_spread_rad = columns
+        return MeasuredDensity(at_members, best_at_members, at_gt, best_at_gt, spread_rad, best_spread_rad, in_regions)
 
     def _measure_image(
         self, i: int, indices: npt.NDArray[np.int64], stored: npt.NDArray[Any]
