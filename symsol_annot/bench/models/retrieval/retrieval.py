@@ -1,0 +1,143 @@
+"""The baseline that needs no training: each test image is answered with the rotations of the nearest train images."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+import symsol_annot
+from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT
+from symsol_annot.bench.models.retrieval.embedding import embed_dataset
+from symsol_annot.bench.models.retrieval.fitting import fit_bandwidths, fit_claims
+from symsol_annot.bench.models.retrieval.view_density import Bandwidths, Cells, ClaimRule, ViewDensity, weights_of
+from symsol_annot.bench.models.retrieval.view_index import QUARTER_TURNS, ViewIndex
+from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
+from symsol_annot.errors import DataError
+from symsol_annot.rotations.grid import STANDARD_LEVEL
+from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.dataset import Dataset
+
+DEFAULT_SIZE = 16
+METHOD = "retrieval"
+_VIEWS = 128  # per image
+_FITTED = 500  # train images that are left out
+_LEAST_IMAGES = 8
+_FLOOR_SLACK = 1.001  # cells of the uniform share alone are not stored, and share what is left
+
+
+@dataclass(frozen=True)
+class Retrieved:
+    """What was written, and what was fitted on train images left out of the views one at a time.
+
+    Attributes:
+        tracks: the names of the tracks.
+        bandwidths: of the densities.
+        log_density: their mean ln p at the rotations of the images left out, relative to the uniform density.
+        rule: of claims; None where there are none.
+        f_measure: the mean of it over the images left out; None where there are no claims.
+    """
+
+    tracks: tuple[str, ...]
+    bandwidths: Bandwidths
+    log_density: float
+    rule: ClaimRule | None
+    f_measure: float | None
+
+
+def retrieve(
+    test: Dataset,
+    train: Dataset,
+    path: Path,
+    *,
+    size: int = DEFAULT_SIZE,
+    method: str = METHOD,
+    level: int = STANDARD_LEVEL,
+    on_images: Callable[[int], object] = int,
+) -> Retrieved:
+    """Write what the nearest train images say of each test image; where that was stopped, the same call goes on.
+
+    Claims are written where the train images have symmetry sets, on which their threshold is fitted, and the test is
+    not sealed. Nothing else is taken from symmetry sets or the group.
+
+    Args:
+        test: the whole split that is predicted.
+        train: the whole split of views of known rotation.
+        path: of the predictions file.
+        size: that images are reduced to, in pixels.
+        method: what the file says it is by.
+        level: of the grid; only the standard one ranks.
+        on_images: is told how many more images are read.
+
+    Raises:
+        DataError: the splits are of different objects, the views are too few or are the images themselves, images are
+            not square, or a shard is damaged.
+        SettingsError: a wrong size or level.
+        NotAnnotatedError: the test has no symmetry sets and is not sealed.
+        PredictionsError: the file is there and about something else, or another method's answers are kept beside it.
+        OutputError: another process writes it, or it cannot be written.
+    """
+    _refuse(test, train)
+    has_claims = train.is_annotated and not test.manifest.is_sealed
+    known, R_gt = embed_dataset(train, size, on_images)
+    index = ViewIndex(known, R_gt, 1 if train.manifest.is_imported else QUARTER_TURNS)
+    left_out = np.unique(np.linspace(0, len(train) - 1, _FITTED).astype(np.int64))
+    near = index.nearest(known[left_out], _VIEWS, left_out=left_out)
+    bandwidths, log_density = fit_bandwidths(near, R_gt[left_out])
+    cells, rule, f = Cells(level), None, None
+    if has_claims:
+        rule, f = fit_claims(near, bandwidths, train.labels(), left_out, cells)
+    views = index.nearest(embed_dataset(test, size, on_images)[0], _VIEWS)
+    weights = weights_of(views.distance, bandwidths)
+    densities = [ViewDensity(R, w, bandwidths) for R, w in zip(views.rotation, weights, strict=True)]
+    resume = f"retrieval of {size} pixels from {train.fingerprint}, by symsol-annot {symsol_annot.__version__}"
+    write_hypotheses(path, test, lambda i: densities[i].hypotheses(), method=method, resume=resume)
+    if rule is not None:
+        classify = _claims(densities, rule, cells)
+        write_classifier(path, test, classify, method=method, level=level, batch_size=len(cells), resume=resume)
+    write_density(
+        path,
+        test,
+        lambda i, _: densities[i].on_cells(cells),
+        method=method,
+        floor=_FLOOR_SLACK * bandwidths.uniform / len(cells),
+        level=level,
+        batch_size=len(cells),
+        resume=resume,
+    )
+    tracks = ("hypotheses", "classifier", "density") if has_claims else ("hypotheses", "density")
+    return Retrieved(tracks, bandwidths, log_density, rule, f)
+
+
+def _refuse(test: Dataset, train: Dataset) -> None:
+    if test.object != train.object:
+        raise DataError(
+            f"{train.folder}: expected views of {test.object}, which {test.folder} is a set of, found {train.object}"
+        )
+    if test.fingerprint == train.fingerprint:
+        raise DataError(f"{train.folder}: the views are the images that are asked about; take another split or set")
+    if len(train) < _LEAST_IMAGES:
+        raise DataError(
+            f"{train.folder}: expected at least {_LEAST_IMAGES} {train.split} images to search, found {len(train)}; "
+            "render more with `symsol-annot render --train N`"
+        )
+
+
+def _claims(
+    densities: list[ViewDensity], rule: ClaimRule, cells: Cells
+) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
+    """Return what takes an image's index and rotations (n, 3, 3) to probabilities (n,), above 0.8 where p > t."""
+
+    def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
+        density = densities[i]
+        if len(R) == len(cells) and np.array_equal(R, cells.index.rotations):
+            log_p = np.full(len(R), -np.inf)
+            near, values = density.near(cells)
+            log_p[near] = values
+        else:
+            log_p = density.log_density(R)
+        logit = log_p - density.log_threshold(rule) + CLAIM_LOGIT
+        return (1.0 / (1.0 + np.exp(-np.clip(logit, -80.0, 80.0)))).astype(np.float32)
+
+    return classify
