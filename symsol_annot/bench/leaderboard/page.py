@@ -6,13 +6,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from symsol_annot.bench.leaderboard.accounts import accounts
+from symsol_annot.bench.leaderboard.agreement import Agreement, agreements
 from symsol_annot.bench.leaderboard.entries import Leaderboard
 from symsol_annot.bench.leaderboard.picture import PICTURES, picture_name
 from symsol_annot.bench.leaderboard.results import REFERENCE
 from symsol_annot.bench.leaderboard.rows import COUNT, Mark, Row, Table, tables_of
 from symsol_annot.bench.leaderboard.thesis_tables import beside_the_thesis
 from symsol_annot.bench.scoring.metric import LEAST_DECIMALS, Metric
-from symsol_annot.bench.scoring.scorers.table import SCORINGS
+from symsol_annot.bench.scoring.scorers.table import SCORINGS, metric_of
 from symsol_annot.system.text.markdown import escaped, fenced, linked, tabled
 
 _HEAD = """\
@@ -90,6 +91,11 @@ Refused are scores that do not rank (`score` warns why), that are about other im
 or whose figures do not follow from those of their images; the same predictions twice; and results that say neither
 `code` nor `commands`.
 """
+_ABOUT_AGREEMENT = """\
+Papers order methods by the log-likelihood at R_gt, the one rotation that an image was drawn at. Kendall's tau
+between that order and the order by each figure of the whole set: 1 where no two methods change places, -1 where
+all do. Brackets hold its 95% interval over images. Below are the pairs that change places, in both orders by
+more than chance, and the images that speak most for it."""
 _NONE = "-"
 _LEGEND = {
     Mark.MANY: "{sign} More than {usual} hypotheses per image.",
@@ -140,6 +146,36 @@ def _of_set(board: Leaderboard, folder: str, link: str) -> Iterator[str]:
             yield tabled(_rows(table, folder, f"{link}/{folder}"))
             if legend := " ".join(_legend(table)):
                 yield legend
+    yield from _of_agreement(board, folder)
+
+
+def _of_agreement(board: Leaderboard, folder: str) -> Iterator[str]:
+    """Yield whether methods come in the same order by one rotation and by the whole set; nothing of too few."""
+    found = list(agreements(board, folder))
+    if not found:
+        return
+    yield f"### {escaped(folder)}, one rotation or the whole set"
+    yield _ABOUT_AGREEMENT
+    yield tabled(_agreement_rows(found))
+    for one in found:
+        for inversion in one.inversions:
+            images = ", ".join(map(str, inversion.images))
+            yield (
+                f"- {escaped(one.object)}: *{escaped(inversion.first)}* is ahead of *{escaped(inversion.second)}* at "
+                f"R_gt, and behind it by {metric_of(one.track, one.metric).words} of {one.track}; most in images {images}"
+            )
+
+
+def _agreement_rows(found: Sequence[Agreement]) -> Iterator[Sequence[str]]:
+    columns = list(dict.fromkeys((one.track, one.metric) for one in found))
+    yield ["", *(f"{metric_of(track, metric).words}, {track}" for track, metric in columns)]
+    for name in dict.fromkeys(one.object for one in found):
+        cells = {(one.track, one.metric): one for one in found if one.object == name}
+        yield [escaped(name), *(_tau(cells[column]) if column in cells else _NONE for column in columns)]
+
+
+def _tau(one: Agreement) -> str:
+    return f"{one.tau:.2f}<br>[{one.low:.2f},&nbsp;{one.high:.2f}]<br>{one.methods} methods"
 
 
 def _rows(table: Table, folder: str, link: str) -> Iterator[Sequence[str]]:

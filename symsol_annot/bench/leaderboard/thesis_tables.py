@@ -24,8 +24,8 @@ def beside_the_thesis(board: Leaderboard) -> Iterator[str]:
 
 
 def _standing_for(recipe: str, board: Leaderboard) -> list[tuple[str, Result]]:
-    """Return the results by a recipe, or by the one of the small tier that stands for it, with their sets' folders."""
-    names = {recipe, board.thesis.small.get(recipe, recipe)}
+    """Return the results by a recipe, or by a smaller one that stands for it, with their sets' folders."""
+    names = {recipe, f"reduced-{recipe}", board.thesis.small.get(recipe, recipe)}
     return [
         (folder, result)
         for folder, of_set in board.results.items()
