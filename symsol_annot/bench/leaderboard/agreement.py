@@ -1,6 +1,6 @@
 """Whether methods that are ordered by one rotation per image come in the same order when the whole set is scored.
 
-Papers report the log-likelihood at R_gt, the rotation that an image was drawn at. Here the order of methods by it is held
+Papers report the log-likelihood at R_gt, the rotation that an image was drawn at. Here the order by it is held
 against their orders by what looks at all rotations that fit the image, by Kendall's tau.
 """
 

@@ -159,10 +159,10 @@ def _of_agreement(board: Leaderboard, folder: str) -> Iterator[str]:
     yield tabled(_agreement_rows(found))
     for one in found:
         for inversion in one.inversions:
-            images = ", ".join(map(str, inversion.images))
+            images, words = ", ".join(map(str, inversion.images)), metric_of(one.track, one.metric).words
             yield (
                 f"- {escaped(one.object)}: *{escaped(inversion.first)}* is ahead of *{escaped(inversion.second)}* at "
-                f"R_gt, and behind it by {metric_of(one.track, one.metric).words} of {one.track}; most in images {images}"
+                f"R_gt, and behind it by {words} of {one.track}; most in images {images}"
             )
 
 
