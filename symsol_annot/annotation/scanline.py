@@ -44,7 +44,7 @@ class LatticePoints:
     column: Ints
 
     @classmethod
-    def of(cls, *parts: tuple[Ints, Ints, Ints]) -> "LatticePoints":
+    def joined(cls, *parts: tuple[Ints, Ints, Ints]) -> "LatticePoints":
         """Return the points (owner, row, column) of several lists, each once."""
         owner, row, column = (np.concatenate(values) for values in zip(*parts, strict=True))
         key = _line(owner, row) * _SIDE + column
@@ -70,7 +70,7 @@ class LatticePoints:
         return LatticePoints((np.cumsum(chosen) - 1)[kept.owner], kept.row, kept.column)
 
     def __or__(self, other: "LatticePoints") -> "LatticePoints":
-        return LatticePoints.of((self.owner, self.row, self.column), (other.owner, other.row, other.column))
+        return LatticePoints.joined((self.owner, self.row, self.column), (other.owner, other.row, other.column))
 
 
 def count_inside(outlines: Segments, polygons: int) -> Ints:
@@ -107,7 +107,7 @@ def points_near(segments: Segments, reach: Floats | float) -> LatticePoints:
     half = np.where(is_level, np.inf, reach * (1.0 + np.abs(slope)))
     left, right = np.maximum(low[segment, 0], middle - half), np.minimum(high[segment, 0], middle + half)
     which, column = _expand(np.ceil(left - 0.5), np.floor(right - 0.5))
-    return LatticePoints.of((segments.owner[segment[which]], row[which], column))
+    return LatticePoints.joined((segments.owner[segment[which]], row[which], column))
 
 
 def _crossings(outlines: Segments) -> tuple[Ints, Ints, Ints, Floats]:

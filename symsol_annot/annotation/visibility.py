@@ -248,7 +248,7 @@ class MarkingVisibility:
         b = a[_NEXT]
         change = self._shift * (np.abs(a).sum(axis=-1) + np.abs(b).sum(axis=-1)) + 2.0 * self._shift**2
         held = held[(_cross(a, b) <= change).all(axis=0)]  # v runs downwards: left is negative
-        return LatticePoints.of((image[held.owner], held.row, held.column))
+        return LatticePoints.joined((image[held.owner], held.row, held.column))
 
     def _project(self, R_m2c: Rotations) -> Floats:
         """Return all vertices on the lattice, whose points lie at half-integers: (n, V, 2)."""

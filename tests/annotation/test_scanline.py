@@ -74,12 +74,12 @@ def test_points_near_a_segment_are_those_within_reach_along_both_axes(reach):
 
 
 def test_points_lie_half_a_spacing_beyond_their_row_and_column():
-    points = LatticePoints.of(([0, 0], [3, 5], [7, 2]))
+    points = LatticePoints.joined(([0, 0], [3, 5], [7, 2]))
     assert points.uv.tolist() == [[7.5, 3.5], [2.5, 5.5]]
     assert LatticePoints.none().uv.shape == (0, 2)
 
 
 def test_points_of_chosen_polygons_are_kept_and_their_polygons_numbered_anew():
-    points = LatticePoints.of(([0, 1, 2, 2], [3, 4, 5, 6], [7, 8, 9, 9]))
+    points = LatticePoints.joined(([0, 1, 2, 2], [3, 4, 5, 6], [7, 8, 9, 9]))
     kept = points.of_owners(np.array([False, True, True]))
     assert [kept.owner.tolist(), kept.row.tolist(), kept.column.tolist()] == [[0, 1, 1], [4, 5, 6], [8, 9, 9]]

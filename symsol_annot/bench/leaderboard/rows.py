@@ -114,8 +114,8 @@ def tables_of(board: Leaderboard, folder: str) -> list[Table]:
 
 def table_of(results: Sequence[Result], references: Sequence[Reference], name: str, track: str) -> Table | None:
     """Return the table of an object on a track; None where nothing is known of it."""
-    groups = [_Group.of(group, name, track) for group in _grouped(results, name, track)]
-    beside = [_Group.of([row], name, track) for row in references if track in row.scores.get(name, {})]
+    groups = [_Group.from_results(group, name, track) for group in _grouped(results, name, track)]
+    beside = [_Group.from_results([row], name, track) for row in references if track in row.scores.get(name, {})]
     if not groups and not beside:
         return None
     sign = -1.0 if metric_of(track, TRACKS[track].ranked_by).better == HIGHER else 1.0
@@ -163,7 +163,7 @@ class _Group:
     is_exact: bool
 
     @classmethod
-    def of(cls, results: "Sequence[Result | Reference]", name: str, track: str) -> "_Group":
+    def from_results(cls, results: "Sequence[Result | Reference]", name: str, track: str) -> "_Group":
         """Put results together that differ in their seed alone."""
         entries = [result.scores[name] for result in results]
         first = results[0]

@@ -41,5 +41,5 @@ def test_a_claim_at_the_threshold_is_0_8():
 
 def test_a_calibration_comes_back_from_a_record_that_holds_more():
     known = Calibration(precision=2.0, shown_logit=-0.5)
-    assert Calibration.of({**known.to_record(), "f_measure": 0.3}) == known
-    assert Calibration.of({}) == Calibration()
+    assert Calibration.from_record({**known.to_record(), "f_measure": 0.3}) == known
+    assert Calibration.from_record({}) == Calibration()

@@ -18,14 +18,14 @@ def poses(images=2, components=3, narrower=1.5, seed=0):
     rng = torch.Generator().manual_seed(seed)
     numbers = torch.randn(images, components, 13, generator=rng)
     numbers[..., 6:9] += narrower
-    return PoseMixture.of(numbers, torch.randn(images, 1, generator=rng))
+    return PoseMixture.from_output(numbers, torch.randn(images, 1, generator=rng))
 
 
 def axes(images=2, components=3, narrower=1.0, seed=0, *, is_directed=False):
     rng = torch.Generator().manual_seed(seed)
     numbers = torch.randn(images, components, 10, generator=rng)
     numbers[..., 6:8] += narrower
-    return AxisMixture.of(numbers, torch.randn(images, 1, generator=rng), is_directed=is_directed)
+    return AxisMixture.from_output(numbers, torch.randn(images, 1, generator=rng), is_directed=is_directed)
 
 
 def rotations(count, seed=1):

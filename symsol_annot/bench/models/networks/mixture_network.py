@@ -144,9 +144,9 @@ class MixtureNetwork(ReferenceModel):
         if self.heads.tells_marking:
             parts["is_shown"] = shown[:, 0]
         if self.heads.axes:
-            parts["axis"] = AxisMixture.of(*_numbers(axes, self.heads.axes), is_directed=is_directed)
+            parts["axis"] = AxisMixture.from_output(*_numbers(axes, self.heads.axes), is_directed=is_directed)
         if self.heads.poses:
-            parts["pose"] = PoseMixture.of(*_numbers(poses, self.heads.poses))
+            parts["pose"] = PoseMixture.from_output(*_numbers(poses, self.heads.poses))
         return Told(**parts)
 
     def hides(self, view: Tensor) -> Tensor:

@@ -43,7 +43,7 @@ class PoseMixture:
     log_weights: Tensor
 
     @classmethod
-    def of(cls, numbers: Tensor, uniform_logit: Tensor) -> "PoseMixture":
+    def from_output(cls, numbers: Tensor, uniform_logit: Tensor) -> "PoseMixture":
         """Return the mixtures that a network's output means.
 
         Args:
@@ -134,7 +134,7 @@ class AxisMixture:
     is_directed: bool = False
 
     @classmethod
-    def of(cls, numbers: Tensor, uniform_logit: Tensor, *, is_directed: bool) -> "AxisMixture":
+    def from_output(cls, numbers: Tensor, uniform_logit: Tensor, *, is_directed: bool) -> "AxisMixture":
         """Return the mixtures that a network's output means.
 
         Args:

@@ -41,7 +41,7 @@ class Calibration:
     shown_logit: float = 0.0
 
     @classmethod
-    def of(cls, known: Mapping[str, float]) -> "Calibration":
+    def from_record(cls, known: Mapping[str, float]) -> "Calibration":
         """Return the calibration that a record holds; what it lacks is as without one."""
         return cls(**{field.name: known[field.name] for field in fields(cls) if field.name in known})
 

@@ -55,7 +55,7 @@ class MixtureMethod:
         self, model: MixtureNetwork, recipe: MixtureRecipe, dataset: Dataset, path: Path, asked: Asked
     ) -> None:
         """Write hypotheses, claims and densities of a split's images."""
-        density = _densities_by_index(model, recipe, dataset, Calibration.of(asked.calibration))
+        density = _densities_by_index(model, recipe, dataset, Calibration.from_record(asked.calibration))
         grid, by, resume = grid_of(asked.level), asked.method, asked.resume
 
         def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
