@@ -14,6 +14,7 @@ from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.annotation.symmetry_set import SymmetrySet
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.generation.marking_trace import MarkingTrace
+from symsol_annot.rendering.control import ControlledRenderer
 from symsol_annot.rendering.renderer import MARKING, Renderer
 from symsol_annot.rotations.so3 import Rotations, angle_between
 from symsol_annot.sets.dataset import Dataset, Sample
@@ -71,16 +72,18 @@ def audit(
         NotAnnotatedError: the split has no symmetry sets.
         DataError: the set was imported.
         SettingsError: the plan's colours do not tell a pixel with some marking from one without.
-        RenderError: the renderer failed.
+        RenderError: the renderer failed, or draws otherwise than at its start.
     """
     if not dataset.is_annotated:
         raise NotAnnotatedError(f"{dataset.folder}: the split {dataset.split!r} has no symmetry sets to audit")
     report = AuditReport()
-    drawer = _Drawer(Annotator(plan.spec, renderer), MarkingTrace(plan.settings))
+    controlled = ControlledRenderer(renderer)
+    drawer = _Drawer(Annotator(plan.spec, controlled), MarkingTrace(plan.settings))
     for row in np.sort(rng.choice(len(dataset), size=min(count, len(dataset)), replace=False)):
         _audit_image(dataset[int(row)], drawer, rng, report)
         report.images += 1
         on_image()
+    controlled.check()
     return report
 
 

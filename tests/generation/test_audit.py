@@ -9,7 +9,7 @@ from numpy_renderer import NumpyRenderer
 
 from symsol_annot import Sample, load
 from symsol_annot.annotation.annotator import Annotator
-from symsol_annot.errors import NotAnnotatedError
+from symsol_annot.errors import NotAnnotatedError, RendererCrashedError
 from symsol_annot.generation.audit import audit
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.render_process import RenderProcess
@@ -112,6 +112,25 @@ def test_a_trace_of_the_marking_in_a_picture_that_hides_it_is_found_in_the_sets_
 
     assert faults(leaks=False) == []
     assert any("carries a trace of the marking's colour" in fault for fault in faults(leaks=True))
+
+
+class Drifting(NumpyRenderer):
+    """Draws a pixel otherwise from its 30th view on, by too little for any comparison of two views."""
+
+    def __init__(self):
+        super().__init__("tetX", SIZE)
+        self.drawn = 0
+
+    def render(self, R_m2c):
+        view, self.drawn = super().render(R_m2c), self.drawn + 1
+        if self.drawn > 30:
+            view.rgb[0, 0, 0] -= 1
+        return view
+
+
+def test_a_renderer_that_drifts_while_it_audits_is_told(tetX_set):
+    with pytest.raises(RendererCrashedError, match="drew a frame otherwise than at its start"):
+        audit(load(tetX_set), make_plan("tetX"), Drifting(), 12, np.random.default_rng(0))
 
 
 def test_a_split_without_sets_is_refused(tetX_set):
