@@ -10,6 +10,7 @@ from tiny_training import CPU, MIXTURE
 
 from symsol_annot.bench.models.inference import predict
 from symsol_annot.bench.models.methods.mixture.body import body_for
+from symsol_annot.bench.models.methods.mixture.calibration import climb
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
 from symsol_annot.bench.models.methods.mixture.image_density import Densities, grid_of
 from symsol_annot.bench.models.methods.mixture.method import METHOD, heads_of
@@ -97,6 +98,37 @@ def test_hypotheses_are_rotations_that_the_density_holds_likely(structure):
     assert np.allclose(hypotheses @ np.swapaxes(hypotheses, 1, 2), np.eye(3), atol=1e-5)
     uniform = found.log_density(grid_of(1).rotations).median()
     assert (found.log_density(torch.from_numpy(hypotheses).float()) > uniform + 0.5).float().mean() > 0.6
+
+
+@pytest.mark.parametrize("structure", GROUPS)
+@torch.no_grad()
+def test_nothing_is_said_of_no_rotations(structure):
+    found, _ = density(structure)
+    nothing = torch.zeros((0, 3, 3))
+    assert found.log_density(nothing).shape == found.log_claim(nothing).shape == (0,)
+
+
+@torch.no_grad()
+def test_a_sure_density_that_claims_nothing_on_a_coarse_grid_says_so():
+    for seed in range(20):  # its axis lies between those of the grid
+        found, _ = density("marked-circle", narrower=9.0, calibration=Calibration(axis_precision=9.0), seed=seed)
+        for shows in (True, False):
+            found.__dict__["takes_it_for_shown"] = shows
+            near, at = found.claimed_on(grid_of(0))
+            assert len(near) == len(at)
+
+
+def test_a_climb_ends_where_both_neighbours_are_lower_and_asks_of_each_value_once():
+    asked = []
+
+    def ask(value):
+        asked.append(value)
+        return -abs(value - 3.0), f"answer {value}"
+
+    assert climb((0.5, 1.0, 2.0, 2.9, 4.0, 8.0), ask) == (-abs(2.9 - 3.0), "answer 2.9")
+    assert sorted(asked) == [0.5, 1.0, 2.0, 2.9, 4.0]
+    assert climb((0.5, 1.0), lambda value: (0.0, value)) == (0.0, 1.0)  # no better, no step
+    assert climb((0.25, 0.5, 1.0), lambda value: (-value, value)) == (-0.25, 0.25)
 
 
 @torch.no_grad()

@@ -1,9 +1,9 @@
 """Fitting what a mixture claims, on validation images alone."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +15,12 @@ from symsol_annot.bench.models.methods.mixture.recipe import MARKED_CIRCLE
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.sets.dataset import Labels
 
-PRECISIONS = (0.5, 0.71, 1.0, 1.41, 2.0)
+PRECISIONS = (0.35, 0.5, 0.71, 1.0, 1.41, 2.0, 2.8, 4.0, 5.7)
 _THRESHOLDS = (0.35, 0.5, 0.71, 0.84, 1.0, 1.19, 1.41, 2.0, 2.8, 4.0)
 _LOGITS = np.linspace(-3.0, 3.0, 25)
 
 Flags = npt.NDArray[np.bool_]
+T = TypeVar("T")
 Densities = Callable[[Calibration], Iterator[ImageDensity]]
 
 
@@ -34,12 +35,13 @@ def fit(structure: str, densities: Densities, labels: Labels, few: int) -> tuple
     """
     every = np.ones(len(labels), dtype=bool)
     if structure != MARKED_CIRCLE:
-        best, f = Calibration(), -1.0
-        for precision in PRECISIONS:
+
+        def with_precision(precision: float) -> tuple[float, Calibration]:
             of_images = _f_measures(densities(Calibration(precision, precision)), labels, every)
             threshold, mean = _best(of_images)
-            if mean > f:
-                best, f = Calibration(precision, precision, threshold), mean
+            return mean, Calibration(precision, precision, threshold)
+
+        f, best = climb(PRECISIONS, with_precision)
         return best, f
     is_shown = labels.set_sizes <= few
     best, _ = _fitted(densities, labels, ~is_shown, Calibration(), ("axis_precision", "hidden_threshold"))
@@ -53,13 +55,38 @@ def _fitted(
     """Fit a precision and a threshold, by their names, on the images of one branch, which are told that they are."""
     if not chosen.any():
         return before, 0.0
-    found = []
-    for precision in PRECISIONS:
+
+    def with_precision(precision: float) -> tuple[float, Calibration]:
         one = replace(before, **{names[0]: precision})
         threshold, f = _best(_f_measures(densities(one), labels, chosen, is_shown=names[0] == "precision"))
-        found.append((f, replace(one, **{names[1]: threshold})))
-    f, best = max(found, key=lambda pair: pair[0])
+        return f, replace(one, **{names[1]: threshold})
+
+    f, best = climb(PRECISIONS, with_precision)
     return best, f
+
+
+def climb(values: Sequence[float], ask: Callable[[float], tuple[float, T]]) -> tuple[float, T]:
+    """Return the best answer that is reached from the value 1 by steps to the better neighbour.
+
+    Args:
+        values: ascending, 1 among them.
+        ask: from a value to how good it is, and an answer; each value is asked about once at most.
+    """
+    known: dict[int, tuple[float, T]] = {}
+
+    def at(place: int) -> float:
+        if not 0 <= place < len(values):
+            return -math.inf
+        if place not in known:
+            known[place] = ask(values[place])
+        return known[place][0]
+
+    place = list(values).index(1.0)
+    while True:
+        better = max((place, place + 1, place - 1), key=at)
+        if better == place:
+            return known[place]
+        place = better
 
 
 def _with_shown_logit(

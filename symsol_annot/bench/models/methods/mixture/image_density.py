@@ -247,7 +247,7 @@ class MarkedCircleDensity(ImageDensity):
         """Return ln p of the shown density at samples of it: of the axis, then of the turn about it."""
         axes = self.axis.samples(_AXIS_SAMPLES, self._rng)[0]
         log_q = self.pose.log_density((_frames_of(axes, self._body)[:, None] @ self._body.group).flatten(0, 1))[0]
-        log_q = log_q.reshape(len(axes), -1)
+        log_q = log_q.reshape(len(axes), len(self._body.group))
         log_conditional = log_q - torch.logsumexp(log_q, 1, keepdim=True)
         turns = torch.multinomial(log_conditional.exp(), 1, generator=self._rng)
         turned = torch.gather(log_conditional, 1, turns)[:, 0] + float(np.log(log_q.shape[1]))
@@ -258,7 +258,7 @@ class MarkedCircleDensity(ImageDensity):
         rounded = (R @ self._body.axis).numpy().round(_SAME) + 0.0
         _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         every = (R[first][:, None] @ self._body.group).flatten(0, 1)
-        log_q = self.pose.log_density(every)[0].reshape(len(first), -1)
+        log_q = self.pose.log_density(every)[0].reshape(len(first), len(self._body.group))
         return (torch.logsumexp(log_q, 1) - float(np.log(log_q.shape[1])))[which.reshape(-1)]
 
     def _log_shown(self, R: Tensor) -> Tensor:
