@@ -81,7 +81,7 @@ class ControlledRenderer(Closing):
         if self._control() != self._expected:
             raise RendererCrashedError(
                 f"Blender's process {os.getpid()} drew a frame otherwise than at its start: its memory is damaged. "
-                "Nothing of what it drew since a control is kept. If this happens again, test the memory of this machine"
+                "None of what it drew since a control is kept. If this happens again, test the memory of this machine"
             )
 
     def close(self) -> None:
