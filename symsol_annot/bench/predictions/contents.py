@@ -7,6 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from symsol_annot.bench.predictions.columns import Array, Column
+from symsol_annot.bench.predictions.format import PREDICTIONS_FORMAT, PREDICTIONS_FORMAT_VERSION
+from symsol_annot.bench.predictions.truth import Subject
 from symsol_annot.system.sandbox.hdf5_process import DatasetFacts
 
 
@@ -66,6 +68,17 @@ class HeldArrays:
     def read(self, dataset: str, start: int, stop: int) -> Array:
         """Return rows of an array; who asks does not write to them."""
         return self._arrays[dataset][start:stop]
+
+
+def said_of(about: Subject) -> dict[str, Any]:
+    """Return what a predictions file says of the split that it is about."""
+    return {
+        "format": PREDICTIONS_FORMAT,
+        "format_version": PREDICTIONS_FORMAT_VERSION,
+        "object": about.object,
+        "split": about.split,
+        "fingerprint": about.fingerprint,
+    }
 
 
 def filled(column: Column) -> Array:

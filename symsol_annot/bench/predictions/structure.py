@@ -53,9 +53,7 @@ class Structure:
         image_index: (N,) which image each row is about; None where that is broken.
     """
 
-    def __init__(
-        self, file: Contents, about: Subject, faults: FaultLog, track_of_dataset: Mapping[str, str]
-    ) -> None:
+    def __init__(self, file: Contents, about: Subject, faults: FaultLog, track_of_dataset: Mapping[str, str]) -> None:
         """Check what the file's data sets are, and read its image index.
 
         Args:

@@ -116,6 +116,7 @@ def columns_of_array(hypotheses: Any, weights: Any, images: int, name: str = "hy
     Raises:
         SettingsError: a wrong shape or type, where what was meant can be told.
     """
+
     def remedy() -> str:
         return remedies.remedy_for_array(hypotheses, images, name)
 
@@ -123,9 +124,7 @@ def columns_of_array(hypotheses: Any, weights: Any, images: int, name: str = "hy
     is_formed = array.dtype.str in REALS and array.ndim == 4 and array.shape[2:] == (3, 3) and len(array) == images
     if not is_formed and (mending := remedy()):
         found = f"{array.dtype} of shape {array.shape}"
-        raise SettingsError(
-            f"{name}: expected float32 or float64 of shape ({images}, M, 3, 3), found {found}{mending}"
-        )
+        raise SettingsError(f"{name}: expected float32 or float64 of shape ({images}, M, 3, 3), found {found}{mending}")
     columns = {"hypotheses": given_column(hypotheses, name)}
     if weights is not None:
         columns["hypothesis_weights"] = given_column(weights, "hypothesis_weights")
