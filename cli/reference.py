@@ -6,7 +6,7 @@ import click
 from symsol_annot_cli.parameters import SPLIT, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.reference import ROWS, score_row
 from symsol_annot.sets import dataset
 from symsol_annot.system.files import make_folder, write_atomically
@@ -17,7 +17,13 @@ from symsol_annot.system.scratch import Scratch, sweep, temporary_errors
 @click.argument("folders", metavar="DATA...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @SPLIT
 @click.option("--row", "rows", type=click.Choice(list(ROWS)), multiple=True, help="One row; may be repeated.  [all]")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("reference"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reference"),
+    show_default=True,
+    help="The folder of the scores.",
+)
 def reference(folders: tuple[Path, ...], split: str, rows: tuple[str, ...], out: Path) -> None:
     """Score reference rows on sets, one per object: the truth, a blind method, random rotations and others.
 
@@ -33,5 +39,5 @@ def reference(folders: tuple[Path, ...], split: str, rows: tuple[str, ...], out:
             with temporary_errors(), Scratch() as workplace:
                 document = score_row(name, datasets, workplace.path)
             write_atomically(out / f"{name}.json", report.to_json(document).encode())
-            say(f"\n{report.tables(document)}")
+            say(f"\n{tables.tables(document, width=tables.room())}")
             bar.update()

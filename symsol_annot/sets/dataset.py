@@ -29,7 +29,7 @@ from symsol_annot.sets.shard.chunks import ByteFile
 from symsol_annot.sets.shard.reader import Shard, ShardLabels
 from symsol_annot.sets.words import sample_in_words, without_sets
 from symsol_annot.system.closing import Closing
-from symsol_annot.system.text.names import SPLITS
+from symsol_annot.system.text.names import SPLITS, nearest
 
 MAX_OPEN_SHARDS = 8
 
@@ -382,7 +382,7 @@ def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = T
     manifest = read_manifest(path)
     there = [name for name in SPLITS if manifest.images(name)]
     if split not in there:
-        raise DataError(f"{path}: has no split {split!r}; it has {', '.join(there)}")
+        raise DataError(f"{path}: has no split {split!r}; it has {', '.join(there)}{nearest(str(split), there)}")
     entries = manifest.of_split(split)
     missing = [entry.file for entry in entries if not entry.is_finished or not (path / entry.file).is_file()]
     if missing:

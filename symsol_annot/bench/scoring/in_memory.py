@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from symsol_annot.bench.predictions.advice import remedies
 from symsol_annot.bench.predictions.columns import Array
 from symsol_annot.bench.predictions.contents import HeldArrays, filled, said_of
 from symsol_annot.bench.predictions.format import IMAGE_INDEX
@@ -166,15 +167,34 @@ def known_track(name: str) -> Track:
     return TRACKS[name]
 
 
-def answers_of(track: Track, ask: Ask, dataset: Dataset, asking: Asking) -> Callable[[int], Answer]:
+def mend_of_answer(returned: Any) -> str:
+    """Return how a callable's answer is mended, as the end of a message."""
+    return remedies.remedy_for_answer(returned, _NAME)
+
+
+def mend_of_row(row: Any) -> str:
+    """Return how an entry of a list is mended, as the end of a message."""
+    return remedies.remedy_for_row(row, _NAME)
+
+
+def answers_of(
+    track: Track, ask: Ask, dataset: Dataset, asking: Asking, mend: Callable[[Any], str] = mend_of_answer
+) -> Callable[[int], Answer]:
     """Return what takes an image's index to what a callable answers of it, checked.
+
+    Args:
+        track: what is asked for.
+        ask: the callable.
+        dataset: the split.
+        asking: how it is asked.
+        mend: how an answer of hypotheses is mended, as the end of a message.
 
     Raises:
         SettingsError: it is no callable.
     """
     refuse_no_callable(ask, track.name, "; answers that are there already go in as a dict (docs/scoring-in-python.md)")
     if track.name == "hypotheses":
-        return hypotheses_answers(ask)
+        return hypotheses_answers(lambda i: plain(ask(i)), mend)
     floor, level, batch_size = _floor(track, asking), asking.level, asking.batch_size
     if track.name == "classifier":
         return classifier_answers(ask, dataset, floor=floor, level=level, batch_size=batch_size)
@@ -314,7 +334,7 @@ def _in_the_files_form(
 def _hypotheses(given: Any, weights: Any, images: int) -> dict[str, Array]:
     """Return the columns of hypotheses that were given as an array, a list or a callable."""
     if callable(given):
-        ask = hypotheses_answers(lambda i: plain(given(i)))
+        ask = hypotheses_answers(lambda i: plain(given(i)), mend_of_answer)
         return _of_answers([ask(i) for i in range(images)])
     given = plain(given)
     if isinstance(given, list) and (rows := _rows(given, images)) is not None:
@@ -329,7 +349,7 @@ def _rows(given: Sequence[Any], images: int) -> list[Answer] | None:
     """Return a list's hypotheses image by image, checked; None where it is no list of N arrays (M_i, 3, 3)."""
     if len(given) != images or not all(isinstance(r, np.ndarray) and r.shape[1:] == (3, 3) for r in given):
         return None
-    ask = hypotheses_answers(lambda i: given[i])
+    ask = hypotheses_answers(lambda i: given[i], mend_of_row)
     return [ask(i) for i in range(images)]
 
 

@@ -17,6 +17,8 @@ from symsol_annot.bench.scoring.in_memory import (
     answers_of,
     grid_attributes,
     known_track,
+    mend_of_answer,
+    mend_of_row,
     plain,
     refuse_no_dataset,
     refuse_slice,
@@ -105,13 +107,13 @@ class Metric:
             RotationError: a matrix is no rotation; the message names the image.
             PredictionsError: a callable's answers have faults.
         """
-        images = self._checked(index)
+        images, mend = self._checked(index), mend_of_answer
         if self._run is None and not callable(predictions):
             given = dict(zip(images, self._of_batch(predictions, len(images)), strict=True))
-            predictions = given.__getitem__
+            predictions, mend = given.__getitem__, mend_of_row
         done = set(self._done().tolist())
         new = [i for i in dict.fromkeys(images) if self._places[i] not in done]
-        answer = answers_of(self._track, predictions, self._dataset, self._asking)
+        answer = answers_of(self._track, predictions, self._dataset, self._asking, mend)
         found = {self._places[i]: answer(i) for i in new}
         if self._run is None:
             self._answers |= found

@@ -17,6 +17,7 @@ WIDTH = 116  # where nobody says how much room there is
 WORST = 10  # images are named
 _NARROWEST = 24  # that a column of titles is wrapped to
 _GAP = 2  # blanks between columns
+_TIED = "\N{NO-BREAK SPACE}"  # a blank at which no line is broken
 
 
 def room() -> int:
@@ -50,6 +51,9 @@ def worst_rows(values: npt.NDArray[np.float64], better: str, count: int = WORST)
 def _object_tables(method: str, name: str, entry: Mapping[str, Any], *, intervals: bool, width: int) -> Iterator[str]:
     yield from _wrapped(f"{name}, {entry['split']} split, {entry['images']} images: {method}", width)
     for track in (track for track in SCORINGS if track in entry):
+        for line in _headline(track, entry[track]):
+            yield from _wrapped(line, width)
+    for track in (track for track in SCORINGS if track in entry):
         yield ""
         yield from _track_table(track, entry, intervals=intervals, width=width)
 
@@ -64,7 +68,7 @@ def _track_table(track: str, entry: Mapping[str, Any], *, intervals: bool, width
         if metric.name in scores["all"]
     ]
     yield from aligned(rows, width)
-    for line in (*_headline(track, scores), *SCORINGS[track].caption(scores), *_worst(track, entry)):
+    for line in (*SCORINGS[track].caption(scores), *_worst(track, entry)):
         yield from _wrapped(line, width)
     yield from remarks(scores, width=width)
 
@@ -80,7 +84,8 @@ def _headline(track: str, scores: Mapping[str, Any]) -> Iterator[str]:
         if headline[key] is not None
     ]
     metric = metric_of(track, headline["metric"])
-    yield f"ranks by: {metric.words}, {short(headline['value'])}" + (f" ({', '.join(beside)})" if beside else "")
+    words = f"  {track}: {metric.words} {short(headline['value'])}"
+    yield words + (f" ({', '.join(beside)})" if beside else "")
 
 
 def _worst(track: str, entry: Mapping[str, Any]) -> Iterator[str]:
@@ -92,7 +97,7 @@ def _worst(track: str, entry: Mapping[str, Any]) -> Iterator[str]:
     rows = worst_rows(values, metric_of(track, headline["metric"]).better)
     if len(rows) and np.nanmin(values) < np.nanmax(values):
         index = entry.get("image_index", range(len(values)))  # other than the row where some images were scored
-        yield "worst images: " + ", ".join(f"{index[row]} ({short(values[row])})" for row in rows)
+        yield "  worst images: " + ", ".join(f"{index[row]}{_TIED}({short(values[row])})" for row in rows)
 
 
 def remarks(scores: Mapping[str, Any], whose: str = "", width: int = WIDTH) -> list[str]:
@@ -175,7 +180,7 @@ def _groups(widths: Sequence[int], width: int) -> Iterator[range]:
 def _wrapped_row(row: Sequence[str], width: int) -> Iterator[list[str]]:
     """Yield a row whose title is wrapped; its figures stand in the last line of it."""
     indent = row[0][: len(row[0]) - len(row[0].lstrip())]
-    lines = textwrap.wrap(row[0], width, initial_indent=indent, subsequent_indent=indent + "  ") or [""]
+    lines = textwrap.wrap(row[0].strip(), width, initial_indent=indent, subsequent_indent=indent + "  ") or [""]
     yield from ([line, *[""] * (len(row) - 1)] for line in lines[:-1])
     yield [lines[-1], *row[1:]]
 
@@ -191,4 +196,5 @@ def _lines(table: Iterable[Sequence[str]], widths: Sequence[int], columns: range
 def _wrapped(line: str, width: int) -> list[str]:
     indent = line[: len(line) - len(line.lstrip())]
     wrap = partial(textwrap.wrap, width=width, break_long_words=False, break_on_hyphens=False)
-    return wrap(line, subsequent_indent=indent) if len(line) > width else [line]
+    lines = wrap(line, subsequent_indent=indent) if len(line) > width else [line]
+    return [line.replace(_TIED, " ") for line in lines]

@@ -32,8 +32,8 @@ def is_split(name: Any) -> bool:
     return isinstance(name, str) and name in SPLITS
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return the names that a mistyped one is near to, as the end of a message; else all there are.
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return the names that a mistyped one is near to, as the end of a message; "" where none is.
 
     Args:
         name: as it was given.
@@ -41,6 +41,10 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """
     by_lower = {other.lower(): other for other in known}
     near = difflib.get_close_matches(name.lower(), by_lower, n=2, cutoff=0.6)
-    if near:
-        return f"; did you mean {' or '.join(repr(by_lower[one]) for one in near)}?"
-    return f"; there are {', '.join(by_lower.values())}" if by_lower else ""
+    return f"; did you mean {' or '.join(repr(by_lower[one]) for one in near)}?" if near else ""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return the names that a mistyped one is near to, else all that there are, as the end of a message."""
+    names = list(known)
+    return nearest(name, names) or f"; there are {', '.join(names) or 'none'}"

@@ -135,7 +135,7 @@ def test_the_truth_is_perfect_and_a_slice_is_scored_by_its_own_images(test):
 def test_scores_show_the_table_and_give_figures_by_name(test, hypotheses, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "90")
     scores = symsol_annot.score(hypotheses, test, method="mine")
-    assert repr(scores).startswith("tetX, test split, 24 images: mine\n\nhypotheses (M = 5) ")
+    assert repr(scores).startswith("tetX, test split, 24 images: mine\n  hypotheses: F-measure at 5 deg ")
     assert max(map(len, repr(scores).splitlines())) <= 90
     assert "[" not in repr(scores)
     assert "[" in scores.table(intervals=True)
@@ -185,6 +185,10 @@ FORMS = {
     "half": lambda R: R.astype(np.float16),
     "complex": lambda R: R.astype(np.complex128),
     "ragged quaternions": lambda R: [rotation_to_quat_wxyz(r[: 1 + i % 5]) for i, r in enumerate(R)],
+    "a list in half": lambda R: list(R.astype(np.float16)),
+    "a ragged list in half": lambda R: [r[: 1 + i % 5].astype(np.float16) for i, r in enumerate(R)],
+    "a callable in half": lambda R: lambda i: R[i].astype(np.float16),
+    "a list of scaled ones": lambda R: list(1.01 * R),
     "by image": lambda R: dict(enumerate(R)),
 }
 
@@ -198,7 +202,7 @@ def test_the_line_that_ends_the_message_mends_a_wrong_form(test, hypotheses, for
     exec(str(caught.value).splitlines()[-1].strip(), names)
     right = hypotheses[:, :1] if form == "one hypothesis" else hypotheses
     mended = symsol_annot.score(names["predictions"], test)
-    if form == "ragged quaternions":
+    if "ragged" in form:
         right = [r[: 1 + i % 5] for i, r in enumerate(hypotheses)]
     expected = symsol_annot.score(right, test)
     assert mended["hypotheses"] == pytest.approx(expected["hypotheses"], abs=2e-3)
@@ -234,14 +238,14 @@ def test_what_is_no_predictions_is_refused_in_one_error(test, what):
 def test_all_rows_that_are_no_rotations_are_named(test, hypotheses, value):
     broken = hypotheses.copy()
     broken[[3, 8], 1] = np.full((3, 3), value)
-    with pytest.raises(PredictionsError, match="rows 3.*, 8"):
+    with pytest.raises(PredictionsError, match=r"rows 3.*, 8"):
         symsol_annot.score(broken, test)
     with pytest.raises(RotationError, match="image 3"):
         symsol_annot.score(list(broken), test)
 
 
 def test_no_split_is_refused_with_the_line_that_opens_one(test, hypotheses):
-    with pytest.raises(SettingsError, match="symsol_annot.load"):
+    with pytest.raises(SettingsError, match=r"symsol_annot\.load"):
         symsol_annot.score(hypotheses, str(test.folder))
     with pytest.raises(SettingsError, match=r"expected what symsol_annot\.load returns, found ndarray$"):
         symsol_annot.score(hypotheses, hypotheses)

@@ -177,12 +177,12 @@ def test_states_of_something_else_are_refused(test, hypotheses, tmp_path):
     for state, words in (
         (Metric(test, "density", level=0).state(), "of the track 'density'"),
         (Metric(other).state(), "of the fingerprint"),
-        ({}, "expected what Metric.state returns"),
-        (None, "expected what Metric.state returns"),
+        ({}, r"expected what Metric\.state returns"),
+        (None, r"expected what Metric\.state returns"),
     ):
         with pytest.raises(SettingsError, match=words):
             metric.merge(state)
     with pytest.raises(SettingsError, match="did you mean 'density'"):
         Metric(test, "densities")
-    with pytest.raises(SettingsError, match="expected what symsol_annot.load returns"):
+    with pytest.raises(SettingsError, match=r"expected what symsol_annot\.load returns"):
         Metric("data/tetX")

@@ -38,10 +38,10 @@ class _Draft:
         more_words, more_imports = (words,) if words else (), (imports,) if imports else ()
         return _Draft(code.format(self.code), value, self.words + more_words, self.imports + more_imports)
 
-    def line(self, target: str) -> str:
+    def line(self, target: str, end: str = "") -> str:
         """Return the line that gives a name what the code gives, with what it imports."""
         imports = sorted({*self.imports, *(("import numpy as np",) if "np." in self.code else ())})
-        return "; ".join([*imports, f"{target}{self.code}"])
+        return "; ".join([*imports, f"{target}{self.code}{end}"])
 
 
 def six_numbers_to_rotation(six: npt.ArrayLike) -> Array:
@@ -78,10 +78,26 @@ def remedy_for_array(given: Any, images: int, name: str = "hypotheses") -> str:
     return said(["this is a row per image", *draft.words], draft.line(f"{name} = lambda i, rows={name}: "))
 
 
-def remedy_for_answer(given: Any) -> str:
-    """Return what to do with a callable's answer about one image that is no (m, 3, 3) array of rotations."""
+def remedy_for_answer(given: Any, name: str = "hypotheses") -> str:
+    """Return what to do with a callable's answer about one image that is no (m, 3, 3) array of rotations.
+
+    Args:
+        given: the answer.
+        name: of the argument that is the callable.
+    """
     found = _hypotheses_of_one_image(given, "ask(i)")
-    return said(found.words, found.line("hypotheses = lambda i, ask=hypotheses: ")) if found else ""
+    return said(found.words, found.line(f"{name} = lambda i, ask={name}: ")) if found else ""
+
+
+def remedy_for_row(given: Any, name: str) -> str:
+    """Return what to do with an entry of a list, about one image, that is no (m, 3, 3) array of rotations.
+
+    Args:
+        given: the entry.
+        name: of the argument that is the list.
+    """
+    found = _hypotheses_of_one_image(given, "rows")
+    return said(found.words, found.line(f"{name} = [", f" for rows in {name}]")) if found else ""
 
 
 def remedy_for_numbers(given: Any, name: str) -> str:

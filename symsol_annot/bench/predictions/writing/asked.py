@@ -27,11 +27,13 @@ DEFAULT_BATCH = 2**16
 DEFAULT_DENSITY_FLOOR = 1e-300  # the least that a floor may be, whose logarithm a file may hold
 
 
-def hypotheses_answers(ask: Callable[[int], Array]) -> Callable[[int], Answer]:
-    """Return what takes an image's index to its hypotheses, checked."""
+def hypotheses_answers(
+    ask: Callable[[int], Array], mend: Callable[[Any], str] = remedies.remedy_for_answer
+) -> Callable[[int], Answer]:
+    """Return what takes an image's index to its hypotheses, checked; `mend` says how a wrong answer is mended."""
 
     def answer(i: int) -> Answer:
-        return {"hypotheses": checked_hypotheses(ask(i), i)}
+        return {"hypotheses": checked_hypotheses(ask(i), i, mend)}
 
     return answer
 
