@@ -43,7 +43,7 @@ def test_every_option_says_what_it_is_in_words():
     [
         (["scroe", "preds.h5"], "did you mean 'score'?"),
         (["plot", "images", "data", "--split", "tets"], "did you mean 'test'?"),
-        (["render", "--object", "cyl0"], "Did you mean 'cylO'"),
+        (["render", "--object", "cyl0"], "'cylO'? Built-in objects"),
         (["train", "smal-ewta"], "did you mean 'small-ewta'"),
         (["score", "preds.h5", "--interval"], "--intervals"),
         (["gallery", "data", "--split", "trian"], "did you mean 'train'?"),

@@ -1,6 +1,6 @@
 """A metric for a training loop: predictions in batches, on one process or on several, scored at the end."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -107,7 +107,8 @@ class Metric:
             RotationError: a matrix is no rotation; the message names the image.
             PredictionsError: a callable's answers have faults.
         """
-        images, mend = self._checked(index), mend_of_answer
+        images = self._checked(index)
+        mend: Callable[[Any], str] = mend_of_answer
         if self._run is None and not callable(predictions):
             given = dict(zip(images, self._of_batch(predictions, len(images)), strict=True))
             predictions, mend = given.__getitem__, mend_of_row

@@ -196,7 +196,7 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS)
 def test_the_line_that_ends_the_message_mends_a_wrong_form(test, hypotheses, form):
     predictions = FORMS[form](hypotheses)
-    with pytest.raises((SettingsError, PredictionsError)) as caught:
+    with pytest.raises((SettingsError, PredictionsError, RotationError)) as caught:
         symsol_annot.score(predictions, test)
     names = {"predictions": predictions}
     exec(str(caught.value).splitlines()[-1].strip(), names)

@@ -7,7 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from symsol_annot.system.reading import read_bytes, read_text
 
 _MAX_BYTES = 2**32  # of a file, and of what it unpacks to
 _MAX_ARRAYS = 64
+_FORMAT: Any = np.lib.format  # whose functions have no types
 _MAX_CSV_BYTES = 2**29
 _BROKEN = (OSError, ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
@@ -59,8 +60,8 @@ def _of_npz(data: IO[bytes]) -> dict[str, Array]:
 
 def _array(file: IO[bytes], size: int) -> Array:
     """Return the array of a .npy, given how many bytes that has."""
-    version = np.lib.format.read_magic(file)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
+    version = _FORMAT.read_magic(file)
+    read = {(1, 0): _FORMAT.read_array_header_1_0, (2, 0): _FORMAT.read_array_header_2_0}.get(version)
     if read is None:
         raise ValueError(f"version {version} of NumPy's format is not read")
     shape, is_fortran, dtype = read(file)
