@@ -101,6 +101,8 @@ def _write(out: Path, dataset: Dataset, arrays: Mapping[str, Any], given: Given,
         rotations = found.rotations.__getitem__ if isinstance(found.rotations, list) else found.rotations
         write_hypotheses(out, dataset, rotations, method=method, weights=found.weights, progress=False)
         return
+    if given != Given():
+        raise click.UsageError("--array, --form, --order and --frame are about rotations; these arrays are on the grid")
     for track, columns in columns_of(arrays).items():
         attributes = {name: value for name, value in columns.items() if name in TRACKS[track].attributes}
         datasets = {name: value for name, value in columns.items() if name not in attributes}

@@ -111,6 +111,7 @@ REFUSED = {
     "an unknown array": (lambda R: {"R": R}, ["--array", "r"], "did you mean 'R'"),
     "too few images": (lambda R: {"R": R[:5]}, [], "expected a row for each of the 24 images"),
     "no rotations": (lambda R: {"R": 2 * R}, [], "row 0: expected rotations"),
+    "a frame of a grid": (lambda R: {"density_indices": R}, ["--frame", "opengl"], "these arrays are on the grid"),
     "another name": (lambda R: {"density_ofsets": R, "density_indices": R}, [], "did you mean 'density_offsets'"),
 }
 

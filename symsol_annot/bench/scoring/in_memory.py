@@ -323,12 +323,17 @@ def _in_the_files_form(
 ) -> tuple[dict[str, Array], dict[str, Any]]:
     """Return arrays by the names of data sets, and the attributes of their track."""
     chosen = TRACKS[track]
-    said = {name: value for name, value in given.items() if name in chosen.attributes}
+    said = {name: _scalar(value) for name, value in given.items() if name in chosen.attributes}
     said |= {name: value for name, value in chosen.defaults(dataset, said).items() if name not in said}
     arrays = {
         name: filled(given_column(plain(value), name)) for name, value in given.items() if name in chosen.datasets
     }
     return arrays, said
+
+
+def _scalar(value: Any) -> Any:
+    """Return a number of numpy's as one of Python's, which attributes of a file are; anything else as it is."""
+    return value.item() if isinstance(value, np.generic | np.ndarray) and value.size == 1 else value
 
 
 def _hypotheses(given: Any, weights: Any, images: int) -> dict[str, Array]:

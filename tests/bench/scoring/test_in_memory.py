@@ -15,7 +15,7 @@ from symsol_annot.bench.predictions.writing.submission import (
 from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import NotAnnotatedError, PredictionsError, RotationError, ScoresError, SettingsError
-from symsol_annot.rotations.grid import grid_size
+from symsol_annot.rotations.grid import grid_sha256, grid_size
 from symsol_annot.rotations.so3 import rotation_to_quat_wxyz, uniform_rotations
 
 IMAGES = 24
@@ -115,6 +115,8 @@ def test_arrays_in_the_files_form_score_as_their_file(test, tmp_path):
     write_columns(tmp_path / "preds.h5", test, "density", columns, method="mine", grid_level=0)
     scores = symsol_annot.score({**columns, "grid_level": 0}, test)
     assert_same(scores, tmp_path / "preds.h5", test)
+    of_numpy = symsol_annot.score({**columns, "grid_level": np.int64(0), "grid_sha256": np.array(grid_sha256(0))}, test)
+    assert of_numpy["density"] == scores["density"]
 
 
 def test_the_truth_is_perfect_and_a_slice_is_scored_by_its_own_images(test):
