@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import SET_FOLDER, ObjectType, example, progress_bar
+from symsol_annot_cli.parameters import SET_FOLDER, NearChoice, ObjectType, example, progress_bar
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.gallery.redrawn import Redrawer
@@ -28,15 +28,21 @@ from symsol_annot.system.text.names import SPLITS
     type=click.Path(path_type=Path),
     help="Predictions to show over the truth, worst first; may be repeated.",
 )
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("gallery"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("gallery"),
+    show_default=True,
+    help="The folder of the pages.",
+)
 @click.option(
     "--split",
     "splits",
-    type=click.Choice(SPLITS),
+    type=NearChoice(SPLITS),
     multiple=True,
     default=("test",),
     show_default=True,
-    help="May be repeated.",
+    help="Which images of a set are shown; may be repeated.",
 )
 @click.option("--limit", metavar="N", type=click.IntRange(min=1), help="Only the first N images of a split.  [all]")
 @click.option(

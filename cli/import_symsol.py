@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import example, progress_bar
+from symsol_annot_cli.parameters import NearChoice, example, progress_bar
 from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
@@ -18,8 +18,20 @@ from symsol_annot.system.text.names import SPLITS
 
 @click.command("import-symsol", epilog=example("symsol-annot import-symsol symsol_dataset.zip --out symsol"))
 @click.argument("path", metavar="ZIP", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default="symsol", show_default=True)
-@click.option("--object", "objects", multiple=True, type=click.Choice(OBJECTS), help="May be repeated.  [default: all]")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default="symsol",
+    show_default=True,
+    help="The folder of the sets.",
+)
+@click.option(
+    "--object",
+    "objects",
+    multiple=True,
+    type=NearChoice(OBJECTS),
+    help="Which object is imported; may be repeated.  [default: all]",
+)
 @click.option("--workers", type=click.IntRange(min=1), help="Number of threads.  [default: all cores]")
 def import_symsol(path: Path, out: Path, objects: tuple[str, ...], workers: int | None) -> None:
     """Import the zip of the original SYMSOL: its images, rotations and symmetry sets.

@@ -1,23 +1,29 @@
 """`symsol-annot info`: say what a set holds."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 import click
 from symsol_annot_cli.parameters import SET_FOLDER, example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.sets.manifest import read_manifest
+from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.sets.settings import ImportedSettings, RenderedSettings, SealedSettings, seed_to_json
 from symsol_annot.sets.shard.layout import NEWEST
 from symsol_annot.sets.statistics import SplitStatistics, sizes_in_words, split_statistics
 from symsol_annot.system.text.names import SPLITS
 
 
-@click.command(epilog=example("symsol-annot info data/cylO"))
+@click.command(epilog=example("symsol-annot info data/cylO", "symsol-annot info data/cylO --json"))
 @SET_FOLDER
-def info(folder: Path) -> None:
+@click.option("--json", "is_json", is_flag=True, help="Print it as JSON, for programs.")
+def info(folder: Path, *, is_json: bool) -> None:
     """Say what a set holds: counts, sizes of the symmetry sets, and the fingerprints that predictions carry."""
     manifest = read_manifest(folder)
+    if is_json:
+        say(json.dumps(_document(folder, manifest), indent=1, ensure_ascii=True))
+        return
     if manifest.is_imported:
         _print_source(manifest.imported)
     elif manifest.is_sealed:
@@ -35,6 +41,46 @@ def info(folder: Path) -> None:
             say(f"\n{split}: {manifest.images(split)} images, {shards}")
             _print_statistics(split_statistics(folder, manifest, split), is_sealed=manifest.is_sealed)
             say(f"  fingerprint {manifest.split_fingerprint(split) or 'none yet: shards of the split are missing'}")
+
+
+def _document(folder: Path, manifest: Manifest) -> dict[str, Any]:
+    """Return what is printed, as values: what is not known is null."""
+    width, height = manifest.settings.image_size
+    kind = "imported" if manifest.is_imported else "sealed" if manifest.is_sealed else "rendered"
+    return {
+        "object": manifest.settings.object,
+        "kind": kind,
+        "format_version": manifest.format_version,
+        "fingerprint": manifest.fingerprint,
+        "image_size": [width, height],
+        "parts": list(manifest.settings.parts),
+        "has_depth": manifest.settings.has_depth,
+        **(_drawing(manifest.rendered) if kind == "rendered" else {}),
+        "splits": {split: _split_document(folder, manifest, split) for split in SPLITS if manifest.images(split)},
+    }
+
+
+def _drawing(settings: RenderedSettings) -> dict[str, Any]:
+    return {
+        "object_sha256": settings.object_sha256,
+        "engine": settings.render.engine,
+        "seed": seed_to_json(settings.seed),
+        "camera": {"distance": settings.camera.distance, "focal_px": settings.camera.focal_px},
+    }
+
+
+def _split_document(folder: Path, manifest: Manifest, split: str) -> dict[str, Any]:
+    statistics, shards = split_statistics(folder, manifest, split), manifest.of_split(split)
+    sizes = {str(size): count for size, count in sorted(statistics.set_sizes.items())}
+    return {
+        "images": manifest.images(split),
+        "shards": len(shards),
+        "finished_shards": sum(entry.is_finished for entry in shards),
+        "fingerprint": manifest.split_fingerprint(split),
+        "has_symmetry_sets": statistics.is_annotated,
+        "marking_shown": statistics.shown if statistics.has_marking else None,
+        "set_sizes": sizes if statistics.is_annotated else None,
+    }
 
 
 def _print_drawing(settings: RenderedSettings) -> None:

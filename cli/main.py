@@ -3,19 +3,21 @@
 Exit codes: 0 done, 1 the input or the data is wrong, 2 the command line is, 130 interrupted.
 """
 
+import ast
 import io
 import logging
 import os
 import signal
 import sys
 import traceback
-from importlib import import_module
+from importlib import import_module, resources
 
 import click
 from symsol_annot_cli.parameters import example
 from symsol_annot_cli.terminal import TerminalHandler, say
 
 from symsol_annot import SymsolError, __version__
+from symsol_annot.system.text.names import nearest
 
 _INTERRUPTED = 130
 _STANDARD_ERROR = 2
@@ -27,11 +29,15 @@ _EXAMPLE = example(
 )
 
 
-_COMMANDS = (
-    *("compare", "completion", "doctor", "gallery", "import-symsol", "info", "leaderboard", "objects", "plot"),
-    *("predict", "publish", "queries", "reference", "render", "retrieve", "score", "seal", "train", "validate"),
-    "verify",
-)
+_GROUPS = {
+    "Make a set": ("render", "import-symsol", "objects", "doctor"),
+    "Look at it": ("info", "verify", "plot", "gallery", "view"),
+    "Score a method": ("convert", "validate", "score", "compare", "queries", "reference", "leaderboard"),
+    "Run a reference model": ("train", "predict", "retrieve"),
+    "Publish": ("publish", "seal"),
+    "Set up the shell": ("completion",),
+}
+_COMMANDS = tuple(name for names in _GROUPS.values() for name in names)
 
 
 class _Commands(click.Group):
@@ -48,6 +54,32 @@ class _Commands(click.Group):
         name = cmd_name.replace("-", "_")
         command: click.Command = getattr(import_module(f"symsol_annot_cli.{name}"), name)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that the first word names; of a mistyped one, the nearest is named."""
+        if args and not args[0].startswith("-") and args[0] not in _COMMANDS:
+            ctx.fail(f"No such command {args[0]!r}{nearest(args[0], _COMMANDS)}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(
+        self,
+        ctx: click.Context,  # noqa: ARG002 - click's signature
+        formatter: click.HelpFormatter,
+    ) -> None:
+        """Write the commands in groups, each with the whole first sentence of its help."""
+        for title, names in _GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, _summary(name)) for name in names], col_max=16)
+
+
+def _summary(name: str) -> str:
+    """Return the first paragraph of a command's help, out of its source: to import all commands takes a second."""
+    function = name.replace("-", "_")
+    tree = ast.parse(resources.files("symsol_annot_cli").joinpath(f"{function}.py").read_text(encoding="utf-8"))
+    (found,) = (node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == function)
+    return (ast.get_docstring(found) or "").partition("\n\n")[0]
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_EXAMPLE)

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
@@ -12,7 +13,7 @@ from symsol_annot.errors import UnknownObjectError
 from symsol_annot.objects.spec import ObjectSpec, builtin_names, load_object
 from symsol_annot.rendering.camera import DEFAULT_SIZE, SIZE_RANGE
 from symsol_annot.rendering.engines import DEFAULT_ENGINE, ENGINES
-from symsol_annot.system.text.names import SPLITS
+from symsol_annot.system.text.names import SPLITS, nearest
 
 
 class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the checker alone
@@ -38,6 +39,18 @@ class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the 
         return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="dir")]
 
 
+class NearChoice(click.Choice):  # type: ignore[type-arg]  # generic for the checker alone
+    """One of some words; of a mistyped one, the nearest is named."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the word; another one is a fault of the command line."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter:
+            words = [str(choice) for choice in self.choices]
+            self.fail(f"{value!r} is not one of {', '.join(words)}{nearest(str(value), words)}", param, ctx)
+
+
 def example(*lines: str) -> str:
     """Return the last block of a command's help: example lines to copy into a shell."""
     return "\n".join(["\b", "Example:", *(f"  {line}" for line in lines)])
@@ -54,7 +67,9 @@ SIZE = click.option(
 ENGINE = click.option(
     "--engine", type=click.Choice(list(ENGINES)), default=DEFAULT_ENGINE, show_default=True, help="Blender's engine."
 )
-SPLIT = click.option("--split", type=click.Choice(SPLITS), default="test", show_default=True)
+SPLIT = click.option(
+    "--split", type=NearChoice(SPLITS), default="test", show_default=True, help="Which images of the set are meant."
+)
 DECIMALS = click.option(
     "--decimals",
     type=click.IntRange(LEAST_DECIMALS, MOST_DECIMALS),
@@ -66,7 +81,7 @@ DATA = click.option(
     type=click.Path(path_type=Path),
     default=Path("data"),
     show_default=True,
-    help="A set, or the folder of the sets.",
+    help="A set's folder, or the folder that holds the sets.",
 )
 
 

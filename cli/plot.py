@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, example
+from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, NearChoice, example
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
@@ -42,14 +42,14 @@ def plot() -> None:
 @SPLIT
 @click.option("--start", type=click.IntRange(min=0), default=0, show_default=True, help="Index of the first image.")
 @click.option("--count", type=click.IntRange(min=1, max=200), default=16, show_default=True, help="How many images.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="[default: DATA-SPLIT.png]")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The picture.  [default: DATA-SPLIT.png]")
 def images(folder: Path, split: str, start: int, count: int, out: Path | None) -> None:
     """Draw images with their segmentations and symmetry sets, on one sheet."""
     check_extra("plot", "plotting")
     samples = dataset.load(folder, split)
     if start >= len(samples):
         raise click.UsageError(f"--start {start}: the split has {len(samples)} images, from 0")
-    path = out or folder.parent / f"{folder.resolve().name}-{split}.png"
+    path = out or Path(f"{folder.resolve().name}-{split}.png")
     contact_sheet(samples[start : start + count], path, has_marking=samples.has_marking)
     say(path)
 
@@ -65,7 +65,7 @@ def images(folder: Path, split: str, start: int, count: int, out: Path | None) -
     show_default=True,
     help="In the ball of rotation vectors, or on the sphere of directions with the tilt as colour.",
 )
-@click.option("--predictions", type=click.Path(path_type=Path), help="Drawn over the truth: a predictions file.")
+@click.option("--predictions", type=click.Path(path_type=Path), help="A predictions file to draw over the truth.")
 @click.option("--track", type=click.Choice(list(TRACKS)), help="The track, if the predictions have several.")
 @_OUT
 def sets(
@@ -128,7 +128,7 @@ def _add_scores_plot(name: str, draw: Callable[[Sequence[Path], Path, str, str],
     @plot.command(name, help=about, epilog=example(line))
     @click.argument("paths", metavar="SCORES.JSON...", nargs=-1, required=True, type=click.Path(path_type=Path))
     @click.option("--object", "object_name", metavar="NAME", required=True, help="An object in the scores.")
-    @click.option("--stratum", type=click.Choice(STRATA), default="all", show_default=True)
+    @click.option("--stratum", type=NearChoice(STRATA), default="all", show_default=True, help="Which images.")
     @_OUT
     def draw_scores(paths: tuple[Path, ...], object_name: str, stratum: str, out: Path) -> None:
         check_extra("plot", "plotting")

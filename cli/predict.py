@@ -16,8 +16,16 @@ from symsol_annot.system.machine import check_extra
 @click.argument("checkpoint", type=click.Path(path_type=Path))
 @DATA
 @SPLIT
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("preds.h5"), show_default=True)
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("preds.h5"),
+    show_default=True,
+    help="The predictions file.",
+)
+@click.option(
+    "--device", default="auto", show_default=True, help="What the network runs on: auto, cpu, cuda or cuda:N."
+)
 @click.option("--method", help="The method's name in the file.  [default: the recipe's name]")
 @click.option(
     "--level", type=click.IntRange(0, 5), default=STANDARD_LEVEL, show_default=True, help="Level of the grid."

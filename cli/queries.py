@@ -15,7 +15,13 @@ from symsol_annot.system.files import make_folder
 @click.command(epilog=example("symsol-annot queries data/cylO --out queries.h5"))
 @SET_FOLDER
 @SPLIT
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("queries.h5"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("queries.h5"),
+    show_default=True,
+    help="The file of the queries.",
+)
 @click.option(
     "--level", type=click.IntRange(0, 5), default=STANDARD_LEVEL, show_default=True, help="Level of the grid."
 )

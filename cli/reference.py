@@ -6,7 +6,7 @@ import click
 from symsol_annot_cli.parameters import DECIMALS, SPLIT, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring import tables
 from symsol_annot.bench.scoring.reference import ROWS, score_row
 from symsol_annot.bench.scoring.scores_file import write_scores
 from symsol_annot.sets import dataset
@@ -18,7 +18,13 @@ from symsol_annot.system.scratch import Scratch, sweep, temporary_errors
 @click.argument("folders", metavar="DATA...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @SPLIT
 @click.option("--row", "rows", type=click.Choice(list(ROWS)), multiple=True, help="One row; may be repeated.  [all]")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("reference"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("reference"),
+    show_default=True,
+    help="The folder of the scores.",
+)
 @DECIMALS
 @click.option("--gzip", "is_packed", is_flag=True, help="Write ROW.json.gz instead of ROW.json.")
 def reference(
@@ -38,5 +44,5 @@ def reference(
             with temporary_errors(), Scratch() as workplace:
                 document = score_row(name, datasets, workplace.path, decimals=decimals)
             write_scores(out / f"{name}.json{'.gz' if is_packed else ''}", document)
-            say(f"\n{report.tables(document)}")
+            say(f"\n{tables.tables(document, width=tables.room())}")
             bar.update()

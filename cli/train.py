@@ -38,15 +38,23 @@ def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  
 @click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="List the recipes.")
 @DATA
 @click.option("--object", "object_name", metavar="NAME", help="The object, where --data holds sets of several.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="[default: runs/OBJECT-RECIPE]")
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder of the training.  [default: runs/OBJECT-RECIPE]",
+)
+@click.option(
+    "--device", default="auto", show_default=True, help="What the network runs on: auto, cpu, cuda or cuda:N."
+)
 @click.option(
     "--epochs",
     type=click.IntRange(min=1),
     help="Number of epochs; the schedule is stretched to it. A higher one than before extends a training.  "
     "[default: the recipe's]",
 )
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True)
+@click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all that is drawn."
+)
 @click.option("--batch-size", type=click.IntRange(min=2), help="Number of images per step.  [default: the recipe's]")
 @click.option(
     "--learning-rate",

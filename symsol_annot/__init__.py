@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from symsol_annot.bench.scoring.in_memory import score
     from symsol_annot.errors import SymsolError
     from symsol_annot.sets.dataset import Dataset, Sample, load
     from symsol_annot.sets.epoch_order import shuffled_order
     from symsol_annot.sets.sample_set import load_sample
 
-__all__ = ["Dataset", "Sample", "SymsolError", "__version__", "load", "load_sample", "shuffled_order"]
+__all__ = ["Dataset", "Sample", "SymsolError", "__version__", "load", "load_sample", "score", "shuffled_order"]
 
 _HOMES = {
     "Dataset": "symsol_annot.sets.dataset",
@@ -24,6 +25,7 @@ _HOMES = {
     "SymsolError": "symsol_annot.errors",
     "load": "symsol_annot.sets.dataset",
     "load_sample": "symsol_annot.sets.sample_set",
+    "score": "symsol_annot.bench.scoring.in_memory",
     "shuffled_order": "symsol_annot.sets.epoch_order",
 }
 

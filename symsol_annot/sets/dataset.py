@@ -27,8 +27,9 @@ from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.sets.membership import checked_shard
 from symsol_annot.sets.shard.chunks import ByteFile
 from symsol_annot.sets.shard.reader import Shard, ShardLabels
+from symsol_annot.sets.words import sample_in_words, without_sets
 from symsol_annot.system.closing import Closing
-from symsol_annot.system.text.names import SPLITS
+from symsol_annot.system.text.names import SPLITS, nearest
 
 MAX_OPEN_SHARDS = 8
 
@@ -67,6 +68,9 @@ class Sample:
     part_pixels: npt.NDArray[np.float32] | None = None
     depth: npt.NDArray[np.float32] | None = None
 
+    def __repr__(self) -> str:
+        return sample_in_words(self)
+
     @property
     def is_annotated(self) -> bool:
         """Whether the sample has a symmetry set."""
@@ -81,7 +85,7 @@ class Sample:
         """
         if self.symmetry_mask is None:
             is_sealed = not np.isfinite(self.rotation).all()
-            why = _without_sets(is_imported=self.segmentation is None, is_sealed=is_sealed)
+            why = without_sets(is_imported=self.segmentation is None, is_sealed=is_sealed)
             raise NotAnnotatedError(f"image {self.index} has no symmetry set: its split {why}")
         return SymmetrySet(self.rotation, self.symmetry_group, self.symmetry_mask)
 
@@ -214,18 +218,27 @@ class Dataset(Closing, Sequence[Sample]):
         """
         if not self.is_annotated:
             manifest = self.manifest
-            without_sets = _without_sets(is_imported=manifest.is_imported, is_sealed=manifest.is_sealed)
-            raise NotAnnotatedError(f"{self.folder}: the {self.split} split {without_sets}")
+            why = without_sets(is_imported=manifest.is_imported, is_sealed=manifest.is_sealed)
+            raise NotAnnotatedError(f"{self.folder}: the {self.split} split {why}")
         rows = list(self._rows)
         shards = [self._labels_of(number) for number in range(len(self._entries))]
         self._refuse_another_stabiliser(shards)
         columns = {name: np.concatenate([shard[name] for shard in shards])[rows] for name in shards[0]}
         return Labels(symmetry_group=self.symmetry_group, **columns)
 
+    @property
+    def indices(self) -> npt.NDArray[np.int64]:
+        """(n,) the index of each image within the split: 0 to n - 1, but for a slice."""
+        return np.arange(self._rows.start, self._rows.stop, self._rows.step, dtype=np.int64)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether these are all images of the split in their order, and no slice of them."""
+        return self._rows == range(self.manifest.images(self.split))
+
     def shard_numbers(self) -> npt.NDArray[np.int64]:
         """Return the number (n,) of the shard that holds each image, counted within the split; no file is read."""
-        indices = np.arange(self._rows.start, self._rows.stop, self._rows.step)
-        return np.searchsorted(self._starts, indices, side="right").astype(np.int64) - 1
+        return np.searchsorted(self._starts, self.indices, side="right").astype(np.int64) - 1
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -357,15 +370,6 @@ class _Shard:
         return columns if self._part_pixels is None else {**columns, "part_pixels": self._part_pixels}
 
 
-def _without_sets(*, is_imported: bool, is_sealed: bool) -> str:
-    """Say why a split has no symmetry sets."""
-    if is_sealed:
-        return "is sealed: its labels are with whoever has its secret (docs/sealed.md)"
-    if is_imported:
-        return "was imported from a source that gives no symmetry sets for it: none are known"
-    return "was rendered without symmetry sets; `symsol-annot render --annotate all` gives every split its sets"
-
-
 def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = True) -> Dataset:
     """Open a split of a set, like `load("data/cylO", split="test")`.
 
@@ -383,7 +387,7 @@ def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = T
     manifest = read_manifest(path)
     there = [name for name in SPLITS if manifest.images(name)]
     if split not in there:
-        raise DataError(f"{path}: has no split {split!r}; it has {', '.join(there)}")
+        raise DataError(f"{path}: has no split {split!r}; it has {', '.join(there)}{nearest(str(split), there)}")
     entries = manifest.of_split(split)
     missing = [entry.file for entry in entries if not entry.is_finished or not (path / entry.file).is_file()]
     if missing:

@@ -98,6 +98,12 @@ class SymsolDataset(TorchDataset[Item]):
     def __len__(self) -> int:
         return len(self.samples)
 
+    def __repr__(self) -> str:
+        width, height = self.samples.image_size
+        asked = {"segmentation": self._segmentation, "depth": self._depth}
+        maps = "".join(f", {name}" for name, is_asked in asked.items() if is_asked)
+        return f"<SymsolDataset of {self.samples!r}: {width}x{height}, {self._layout}, {self._dtype}{maps}>"
+
     def __getitem__(self, index: int) -> Item:
         sample = self.samples[index]
         image = torch.from_numpy(sample.image)

@@ -55,7 +55,7 @@ def test_each_suggested_command_works_as_it_is_printed(rendered, tmp_path, name)
     with Image.open(tmp_path / plotted.stdout.strip()) as picture:
         picture.load()
         assert picture.format == "PNG"
-    assert loaded.stdout.startswith("Sample(index=0")
+    assert loaded.stdout.startswith("<Sample 0: ")
 
 
 def programs(folder):

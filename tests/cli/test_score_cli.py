@@ -19,21 +19,22 @@ import symsol_annot_cli.reference
 from score_commands import COMMAND, IMAGES, symsol
 
 from symsol_annot.bench.predictions.queries import Queries
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.reference import ROWS, score_row
 from symsol_annot.bench.scoring.scores_file import read_scores
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.rotations.grid import equivolumetric_grid, grid_sha256
 
 
-def test_score_prints_tables_and_writes_json_and_csv_and_nothing_else(preds, data, tmp_path):
+def test_score_prints_tables_and_writes_json_and_csv_and_nothing_else(preds, data, tmp_path, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
     done = symsol(
         "score", preds["tetX"], "--data", data, "--json", "scores.json", "--per-image", "images.csv", cwd=tmp_path
     )
     assert (done.returncode, done.stderr) == (0, "")  # where there is no terminal there is no bar
     scores = [score_file(preds["tetX"], data)]
     document = report.to_document(scores)
-    assert done.stdout == report.tables(document) + "\n"
+    assert done.stdout == tables.tables(document) + "\n"
     assert (tmp_path / "scores.json").read_text() == report.to_json(document)
     assert (tmp_path / "images.csv").read_text() == report.per_image_csv(scores)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["images.csv", "scores.json"]

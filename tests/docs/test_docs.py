@@ -13,6 +13,8 @@ import pytest
 from made_sets import make_set
 
 import symsol_annot
+from symsol_annot.bench.predictions.foreign.forms import FORMS
+from symsol_annot.bench.predictions.foreign.frames import FRAMES
 from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES, IMAGE_INDEX
 from symsol_annot.bench.predictions.tracks.classifier import CLASSIFIER_ATTRIBUTES
 from symsol_annot.bench.predictions.tracks.table import TRACKS
@@ -136,6 +138,26 @@ def test_the_submission_page_is_enough_to_get_a_score(tmp_path, monkeypatch, cap
     exec(by_hand, {"hypotheses": hypotheses})
     scored = scoring.score_file(Path("preds.h5"), Path("data"))
     assert str(scored.tracks["hypotheses"].figures) == str(by_writer.tracks["hypotheses"].figures)
+
+
+def test_the_page_on_scoring_in_python_runs_and_gives_what_it_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for block in code_blocks("docs/scoring-in-python.md", "python"):
+        exec(block, names)
+        if "headline" in block and "metric" not in block:
+            (figure,) = re.findall(r'"hypotheses": (0\.\d+)\.\.\.', block)
+            assert f"{names['scores'].headline['hypotheses']:.6f}".startswith(figure)
+    printed = capsys.readouterr().out
+    assert printed.startswith("tetX, test split, 64 images: in memory\n  hypotheses: F-measure at 5 deg 0.78")
+    assert (tmp_path / "scores.json").is_file()
+    assert names["scores"].image_index.tolist() == list(range(8))
+
+
+def test_the_pages_name_every_form_and_frame():
+    page = (ROOT / "docs/scoring-in-python.md").read_text()
+    assert all(f"`{name}`" in page for name in FORMS)
+    assert all(f"| `{name}` |" in (ROOT / "docs/conventions.md").read_text() for name in FRAMES)
 
 
 def test_the_submission_page_names_every_attribute_and_data_set():

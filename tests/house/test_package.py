@@ -49,7 +49,7 @@ def distributions(modules):
 
 
 def test_the_public_names_are_these():
-    names = {"Dataset", "Sample", "SymsolError", "__version__", "load", "load_sample", "shuffled_order"}
+    names = {"Dataset", "Sample", "SymsolError", "__version__", "load", "load_sample", "score", "shuffled_order"}
     assert set(symsol_annot.__all__) == names
     assert len(symsol_annot.__all__) == len(set(symsol_annot.__all__))
     assert all(hasattr(symsol_annot, name) for name in symsol_annot.__all__)

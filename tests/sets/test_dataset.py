@@ -319,3 +319,19 @@ def test_unfinished_split_is_an_error(tetX_set):
     write_manifest(tetX_set, manifest.with_finished(replace(entry, bytes=None, sha256=None, content_sha256=None)))
     with pytest.raises(DataError, match=r"1 of 3 test shards are missing, the first test-00002-of-00003\.h5"):
         load(tetX_set)
+
+
+def test_samples_and_datasets_say_what_they_are(tmp_path):
+    folder = make_set(tmp_path, "tetX", train=3, test=3, annotate="test", size=16)
+    test, train = load(folder), load(folder, "train")
+    size = len(test[1].symmetry_set)
+    shows = "visible" if test[1].marking_visible else "not visible"
+    assert repr(test[1]) == (
+        f"<Sample 1: 16x16 image, segmentation, marking {shows}, symmetry set of {size} of 12 candidates>"
+    )
+    assert repr(train[2]).endswith(", no symmetry set>")
+    assert len(repr(test)) < 200
+    with pytest.raises(DataError, match="it has train, test; did you mean 'test'"):
+        load(folder, "tets")
+    assert test[1:].indices.tolist() == [1, 2]
+    assert (test.is_whole, test[1:].is_whole, test[:].is_whole) == (True, False, True)

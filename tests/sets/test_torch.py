@@ -169,3 +169,9 @@ def test_without_torch_one_line_says_what_to_install():
     last = done.stderr.strip().splitlines()[-1]
     assert last.endswith("symsol_annot.torch needs torch, which is not installed: `pip install 'symsol-annot[bench]'`")
     assert "During handling" not in done.stderr
+
+
+def test_a_dataset_of_torch_says_what_it_is(tmp_path):
+    folder = make_set(tmp_path, "tetX", test=2, size=16)
+    shown = repr(SymsolDataset(folder, "test", segmentation=True))
+    assert shown == f"<SymsolDataset of <tetX test: 2 images in {folder}>: 16x16, chw, torch.float32, segmentation>"

@@ -43,14 +43,14 @@ class Predictions(Kind):
 
     def _score(self, path):
         from symsol_annot.bench.predictions.predictions_reader import open_predictions
-        from symsol_annot.bench.scoring import report
+        from symsol_annot.bench.scoring import report, tables
         from symsol_annot.bench.scoring.scoring import score
 
         with open_predictions(path, self._data) as found:
             scored = score(found)
             document = report.to_document([scored])
         report.to_json(document).encode()
-        tables = report.tables(document)
+        tables = tables.tables(document)
         if not all(line.isprintable() for line in tables.split("\n")):
             raise laws.SilentError("tables with what a terminal would obey")
         for track in scored.tracks.values():

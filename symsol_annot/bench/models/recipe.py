@@ -15,7 +15,7 @@ from symsol_annot.bench.models.kinds import MODEL_KINDS, Recipe, kind_of
 from symsol_annot.bench.models.recipe_keys import LEFT_OUT
 from symsol_annot.errors import SettingsError, bulleted, count_of
 from symsol_annot.system.reading import read_text
-from symsol_annot.system.text.names import METHOD_NAME_RULE, OBJECT_NAME_RULE, is_method_name, is_object_name
+from symsol_annot.system.text.names import METHOD_NAME_RULE, OBJECT_NAME_RULE, is_method_name, is_object_name, nearest
 from symsol_annot.system.text.tables import from_table
 from symsol_annot.system.text.toml import MAX_TOML_BYTES, parse_toml, shown
 
@@ -72,7 +72,7 @@ def load_recipe(name_or_path: str) -> RecipeFile:
     except FileNotFoundError:
         raise SettingsError(
             f"{path}: there is no such file, and no built-in recipe of that name; built in are "
-            f"{', '.join(builtin_recipes())}"
+            f"{', '.join(builtin_recipes())}{nearest(name_or_path, builtin_recipes())}"
         ) from None
     except (OSError, ValueError) as error:  # no UTF-8, or no path
         reason = getattr(error, "strerror", None) or error

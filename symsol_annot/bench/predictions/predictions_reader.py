@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from symsol_annot.bench.predictions.advice.mends import mend_of_file
+from symsol_annot.bench.predictions.contents import Contents
 from symsol_annot.bench.predictions.faults import FaultLog
 from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES, PREDICTIONS_FORMAT, THE_FILE
 from symsol_annot.bench.predictions.proposals import Predicted
@@ -42,7 +43,7 @@ class Predictions:
         readers: of those tracks that are there and can be read.
     """
 
-    def __init__(self, file: SandboxedFile, about: Subject) -> None:
+    def __init__(self, file: Contents, about: Subject) -> None:
         self.path, self.about, self.sha256, self.faults = file.path, about, "", FaultLog()
         structure = Structure(file, about, self.faults, TRACK_OF_DATASET)
         structure.has_attributes(FILE_ATTRIBUTES, THE_FILE)
@@ -163,7 +164,7 @@ def _sha256(path: Path) -> str:
 def _excess(file: SandboxedFile) -> str:
     """Say where a file is far larger than its data sets, whose digest would take as long as somebody likes; else ""."""
     needed = sum(facts.values_bytes for facts in file.datasets.values() if not facts.found)
-    size = file.path.stat().st_size
+    size = file.size_bytes
     if size <= _MOST_TIMES_NEEDED * needed + _MOST_BESIDE:
         return ""
     return f"has {size:,} bytes, of which its data sets need {needed:,}; HDF5's `h5repack` writes it without the rest"

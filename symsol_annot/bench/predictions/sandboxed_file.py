@@ -40,6 +40,11 @@ class SandboxedFile(Closing):
             self._process.begin_to_open(path)
 
     @property
+    def size_bytes(self) -> int:
+        """The file's size."""
+        return self.path.stat().st_size
+
+    @property
     def pid(self) -> int:
         """The process's number."""
         return self._process.pid

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.bench.predictions.advice.mends import mend_of_name, mend_of_shape
+from symsol_annot.bench.predictions.contents import Contents
 from symsol_annot.bench.predictions.faults import FaultLog
 from symsol_annot.bench.predictions.format import (
     FILTERS,
@@ -21,7 +22,6 @@ from symsol_annot.bench.predictions.format import (
     version_fault,
 )
 from symsol_annot.bench.predictions.queries import group_sha256
-from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
 from symsol_annot.bench.predictions.truth import Subject
 from symsol_annot.errors import PredictionsError
 from symsol_annot.rotations.grid import grid_sha256
@@ -53,9 +53,7 @@ class Structure:
         image_index: (N,) which image each row is about; None where that is broken.
     """
 
-    def __init__(
-        self, file: SandboxedFile, about: Subject, faults: FaultLog, track_of_dataset: Mapping[str, str]
-    ) -> None:
+    def __init__(self, file: Contents, about: Subject, faults: FaultLog, track_of_dataset: Mapping[str, str]) -> None:
         """Check what the file's data sets are, and read its image index.
 
         Args:
@@ -66,7 +64,7 @@ class Structure:
         """
         self.file, self.about, self.faults = file, about, faults
         self._track_of_dataset = track_of_dataset
-        self._file_bytes = file.path.stat().st_size
+        self._file_bytes = file.size_bytes
         self._facts = {name: facts for name, facts in file.datasets.items() if self._is_readable(name, facts)}
         self.image_index = self._read_image_index()
 

@@ -171,6 +171,20 @@ def truth_of(dataset: Dataset) -> Truth:
     )
 
 
+def part_of(truth: Truth, rows: npt.NDArray[np.int64]) -> Truth:
+    """Return the truth of some of a split's images alone, in the order of `rows` (n,)."""
+    labels = truth.labels
+    part = replace(
+        labels,
+        rotation=labels.rotation[rows],
+        symmetry_mask=labels.symmetry_mask[rows],
+        marking_pixels=labels.marking_pixels[rows],
+        marking_visible=labels.marking_visible[rows],
+        part_pixels=None if labels.part_pixels is None else labels.part_pixels[rows],
+    )
+    return replace(truth, labels=part)
+
+
 def subject_of(dataset: Dataset) -> Truth | SealedSplit:
     """Return what predictions about a split are checked against: its truth or, where it is sealed, what is known of it.
 

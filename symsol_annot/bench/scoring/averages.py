@@ -75,16 +75,20 @@ def merge(parts: Sequence[PerImage]) -> PerImage:
     )
 
 
-def figures(table: PerImage, strata: Mapping[str, npt.NDArray[np.bool_]]) -> dict[str, dict[str, Figure]]:
+def figures(
+    table: PerImage, strata: Mapping[str, npt.NDArray[np.bool_]], *, intervals: bool = True
+) -> dict[str, dict[str, Figure]]:
     """Return stratum to metric to figure.
 
     Args:
         table: of N images.
         strata: name to (N,) images.
+        intervals: whether figures get them; without, `low` and `high` are NaN, and nothing is drawn.
     """
     summands, weights = _sums(table, strata)
     values = ratio(summands.sum(axis=0), weights.sum(axis=0))
-    return _tabulate(values, resampled(summands, weights), weights > 0, list(table.values), strata)
+    drawn = resampled(summands, weights) if intervals else np.full((1, len(values)), np.nan)
+    return _tabulate(values, drawn, weights > 0, list(table.values), strata)
 
 
 def difference(

@@ -84,13 +84,14 @@ class ConventionsTried:
 
     Attributes:
         truth: what they are held against.
+        found: image to the rotations that were kept.
     """
 
     def __init__(self, truth: Truth) -> None:
         self.truth = truth
         count = min(len(truth), _IMAGES)
         self._wanted = frozenset(np.linspace(0, len(truth) - 1, count).astype(int).tolist())
-        self._found: dict[int, Rotations] = {}
+        self.found: dict[int, Rotations] = {}
 
     def wants(self, image: int) -> bool:
         """Tell whether this image is one of those that are looked at."""
@@ -99,7 +100,7 @@ class ConventionsTried:
     def add(self, image: int, rotations: Rotations) -> None:
         """Take an image's rotations (n, 3, 3); of many, some are kept."""
         if len(rotations):
-            self._found[image] = rotations[_evenly(len(rotations), _ROTATIONS)]
+            self.found[image] = rotations[_evenly(len(rotations), _ROTATIONS)]
 
     def notes(self, advice: str) -> tuple[str, ...]:
         """Return a line where the rotations are no better than chance, and far better in another convention.
@@ -107,10 +108,10 @@ class ConventionsTried:
         Args:
             advice: what to do, with "{code}" where the convention's code belongs.
         """
-        images = sorted(self._found)
+        images = sorted(self.found)
         if len(images) < _LEAST_IMAGES:
             return ()
-        given = [self._found[i] for i in images]
+        given = [self.found[i] for i in images]
         as_given = self._errors(images, given)
         of_others = self._errors(images, given[len(given) // 2 :] + given[: len(given) // 2])
         if as_given.recall < _NEAR_CHANCE * of_others.recall or as_given.precision < _NEAR_CHANCE * of_others.precision:

@@ -12,6 +12,23 @@ from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.system.progress import OnImages, ignore_images
 
 
+@dataclass(frozen=True)
+class Headline:
+    """The figure of a track by which results rank, over all images.
+
+    Attributes:
+        metric: its name.
+        value: NaN where no image defines it.
+        chance: what is had without looking at the images; NaN where that is not known.
+        best_possible: what no answer of this form is above; NaN where that is not known.
+    """
+
+    metric: str
+    value: float
+    chance: float
+    best_possible: float
+
+
 @dataclass(frozen=True, eq=False)
 class TrackScores:
     """A track's scores.
@@ -21,6 +38,7 @@ class TrackScores:
         per_image: figures of every image.
         figures: stratum to metric to figure.
         facts: what else belongs to the result: M, the grid's level, the floor.
+        headline: the figure that ranks, beside chance and the best possible.
         warnings: why it does not rank, in plain words.
         notes: what its author should know of it, though it ranks.
     """
@@ -29,6 +47,7 @@ class TrackScores:
     per_image: PerImage
     figures: dict[str, dict[str, Figure]]
     facts: dict[str, float | int]
+    headline: Headline
     warnings: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
@@ -70,12 +89,13 @@ def score_file(
         return score(predictions, on_images)
 
 
-def score(predictions: Predictions, on_images: OnImages = ignore_images) -> ObjectScores:
+def score(predictions: Predictions, on_images: OnImages = ignore_images, *, intervals: bool = True) -> ObjectScores:
     """Score predictions, whose contents are checked on the way.
 
     Args:
         predictions: of one file.
         on_images: called with a count whenever so many images of a track were scored.
+        intervals: whether figures get their bootstrap intervals.
 
     Raises:
         PredictionsError: with all faults of the file.
@@ -85,7 +105,9 @@ def score(predictions: Predictions, on_images: OnImages = ignore_images) -> Obje
         predictions.check()
     scored = {reader.name: _per_image(reader, predictions, on_images) for reader in predictions.readers}
     predictions.raise_faults()
-    tracks = {name: _track_scores(name, scorer, table, truth) for name, (scorer, table) in scored.items()}
+    tracks = {
+        name: track_scores(name, scorer, table, truth, intervals=intervals) for name, (scorer, table) in scored.items()
+    }
     return ObjectScores(predictions.path.name, predictions.sha256, predictions.method, truth, tracks)
 
 
@@ -100,13 +122,31 @@ def _per_image(reader: TrackReader, predictions: Predictions, on_images: OnImage
     return scorer, merge(parts)
 
 
-def _track_scores(track: str, scorer: Scorer, per_image: PerImage, truth: Truth) -> TrackScores:
-    result = figures(per_image, truth.strata)
+def track_scores(
+    track: str, scorer: Scorer, per_image: PerImage, truth: Truth, *, intervals: bool = True
+) -> TrackScores:
+    """Return a track's scores.
+
+    Args:
+        track: its name.
+        scorer: that scored it.
+        per_image: figures of every image of `truth`, in its order.
+        truth: what it was held against.
+        intervals: whether figures get their bootstrap intervals.
+    """
+    result = figures(per_image, truth.strata, intervals=intervals)
     return TrackScores(
         name=SCORINGS[track].name_of(scorer.facts),
         per_image=per_image,
         figures=result,
         facts=scorer.facts,
+        headline=_headline(track, scorer, result["all"]),
         warnings=scorer.warnings(result["all"]),
         notes=scorer.notes(),
     )
+
+
+def _headline(track: str, scorer: Scorer, over_all: dict[str, Figure]) -> Headline:
+    metric = SCORINGS[track].track.ranked_among(over_all)
+    chance, best_possible = scorer.chance_and_best(over_all)
+    return Headline(metric, over_all[metric].value, chance, best_possible)

@@ -5,7 +5,9 @@ a method's    1 to 200 printable characters, not all of them spaces
 a split's     "train" or "test"
 """
 
+import difflib
 import re
+from collections.abc import Iterable
 from typing import Any
 
 SPLITS = ("train", "test")
@@ -28,3 +30,21 @@ def is_method_name(name: Any) -> bool:
 def is_split(name: Any) -> bool:
     """Tell whether this is one of the splits."""
     return isinstance(name, str) and name in SPLITS
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return the names that a mistyped one is near to, as the end of a message; "" where none is.
+
+    Args:
+        name: as it was given.
+        known: those that there are.
+    """
+    by_lower = {other.lower(): other for other in known}
+    near = difflib.get_close_matches(name.lower(), by_lower, n=2, cutoff=0.6)
+    return f"; did you mean {' or '.join(repr(by_lower[one]) for one in near)}?" if near else ""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return the names that a mistyped one is near to, else all that there are, as the end of a message."""
+    names = list(known)
+    return nearest(name, names) or f"; there are {', '.join(names) or 'none'}"

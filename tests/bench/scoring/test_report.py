@@ -18,7 +18,7 @@ from made_sets import make_set
 
 from symsol_annot import __version__
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.metric import Place
 from symsol_annot.bench.scoring.report import STRATA
 from symsol_annot.bench.scoring.scorers.hypotheses import F_UNWEIGHTED
@@ -240,7 +240,7 @@ def cells(line):
 
 @pytest.fixture(scope="module")
 def printed(document):
-    return report.tables(document)
+    return tables.tables(document, intervals=True, width=150)
 
 
 def table_of(printed, name, track):
@@ -280,14 +280,14 @@ def assert_cell_says(cell, figure):
 
 def test_tables_fit_a_screen_and_have_no_trailing_blanks_and_no_nan(printed):
     lines = printed.splitlines()
-    assert max(map(len, lines)) <= 150
+    assert 116 < max(map(len, lines)) <= 150
     assert [line for line in lines if line != line.rstrip()] == []
     assert not re.search(r"\bnan\b|\binf\b|None", printed)
 
 
 def test_warnings_and_the_note_on_f_are_shown(printed):
     assert printed.count("WARNING: it is on the grid of level 0") == 2 * len(IMAGES)
-    assert printed.count("F is not compared from one stratum to another") == len(IMAGES)
+    assert printed.count("F is not compared from one stratum to another") == len(IMAGES)  # below the classifiers alone
     assert printed.count("p > 0.8, grid of level 0; the sweep is in --json") == len(IMAGES)
 
 
@@ -303,7 +303,7 @@ def test_warnings_and_the_note_on_f_are_shown(printed):
     ],
 )
 def test_small_figures_are_not_shown_as_nothing(value, shown, signed):
-    assert (report.short(value), report.short(value, "+")) == (shown, signed)
+    assert (tables.short(value), tables.short(value, "+")) == (shown, signed)
 
 
 def test_several_files_give_the_benchmarks_table(printed, document):
@@ -330,8 +330,9 @@ def test_one_file_gives_no_benchmarks_table_and_one_without_marking_no_strata(tm
     document = report.to_document([score_file(path, tmp_path)])
     assert document["objects"]["tet"]["strata"] == {"all": 3}
     assert document["ranks"] is True
-    printed = report.tables(document)
-    assert printed.startswith("tet, test split, 3 images: mine\n\nhypotheses (M = 1) ")
+    printed = tables.tables(document)
+    assert printed.startswith("tet, test split, 3 images: mine\n  hypotheses: F-measure at 5 deg ")
+    assert "\n\nhypotheses (M = 1) " in printed
     for words in ("all objects", "shown", "F is not compared", "[", "WARNING"):
         assert words not in printed
 
@@ -339,10 +340,67 @@ def test_one_file_gives_no_benchmarks_table_and_one_without_marking_no_strata(tm
 def test_tracks_that_only_some_objects_have_are_averaged_over_those(document):
     partial = json.loads(json.dumps(document))
     del partial["objects"]["cylO"]["density"]
-    table = report.tables(partial).partition("all objects, all images")[2]
+    table = tables.tables(partial).partition("all objects, all images")[2]
     block = next(block for block in blocks(table) if block[0].startswith("density"))
     assert cells(block[0]) == ["density", "tetX", "mean"]
     assert cells(block[1])[1] == cells(block[1])[2]
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 116, 300])
+@pytest.mark.parametrize("intervals", [False, True])
+def test_tables_fit_the_width_and_lose_no_figure(document, width, intervals):
+    printed = tables.tables(document, intervals=intervals, width=width)
+    longest = max(len(line) for line in printed.splitlines())
+    assert longest <= width or (width == 40 and intervals and longest <= 52)  # a title's 24, and one figure's interval
+    assert ("[" in printed.replace("[of two,", "")) is intervals
+    for name, entry in document["objects"].items():
+        for track in SCORINGS:
+            for metric in metrics_shown(track, Place.TABLES):
+                for stratum in STRATA if metric.name in entry[track]["all"] else ():
+                    assert tables.cell(entry[track][stratum][metric.name], intervals=intervals) in printed, name
+
+
+def test_a_headline_stands_with_chance_and_the_best_possible(document, printed):
+    for entry in document["objects"].values():
+        for track in SCORINGS:
+            headline = entry[track]["headline"]
+            assert headline["value"] == entry[track]["all"][headline["metric"]]["value"]
+            assert headline["chance"] < headline["best_possible"]
+            assert headline["value"] <= headline["best_possible"]
+            value, chance, best = (tables.short(headline[key]) for key in ("value", "chance", "best_possible"))
+            assert f"{value} (chance {chance}, best possible {best})" in " ".join(printed.split())
+            (metric,) = (metric for metric in SCORINGS[track].metrics if metric.name == headline["metric"])
+            assert f"\n  {track}: {metric.words} {value} (" in printed
+
+
+def test_chance_and_the_best_possible_are_what_such_predictions_get(sets, tmp_path):
+    """Uniform rotations, everything claimed and a uniform density get chance; one true rotation gets less than 1."""
+    dataset = sets["cylO"]
+    labels, rng = dataset.labels(), np.random.default_rng(5)
+    path, options = tmp_path / "preds.h5", {"method": "mine", "level": 0}
+    write_hypotheses(path, dataset, uniform_rotations(22 * 40, rng).reshape(22, 40, 3, 3), method="mine")
+    write_classifier(path, dataset, lambda i, R: np.ones(len(R)), **options)
+    write_density(path, dataset, lambda i, R: np.zeros(len(R)), **options)
+    tracks = score_file(path, dataset.folder).tracks
+    assert tracks["hypotheses"].headline.chance == pytest.approx(tracks["hypotheses"].headline.value, abs=0.005)
+    assert tracks["classifier"].headline.value == pytest.approx(tracks["classifier"].headline.chance)
+    assert tracks["density"].headline.value == pytest.approx(tracks["density"].headline.chance)
+
+    one = tmp_path / "one.h5"
+    write_hypotheses(one, dataset, labels.rotation[:, None], method="mine")
+    headline = score_file(one, dataset.folder).tracks["hypotheses"].headline
+    coverage = np.minimum(1, 11 / labels.set_sizes)
+    assert headline.best_possible == pytest.approx(np.mean(2 * coverage / (1 + coverage)))
+    assert headline.value <= headline.best_possible
+
+
+def test_the_worst_images_are_named_with_their_figure(document, printed, scores):
+    for one in scores:
+        for track, found in one.tracks.items():
+            values = found.per_image.values[found.headline.metric]
+            worst = np.argsort(values, kind="stable")[:10]
+            line = "worst images: " + ", ".join(f"{i} ({tables.short(values[i])})" for i in worst)
+            assert " ".join(line.split()) in " ".join(printed.split()), track
 
 
 @given(
@@ -352,7 +410,7 @@ def test_tracks_that_only_some_objects_have_are_averaged_over_those(document):
 )
 @settings(deadline=None, max_examples=50)
 def test_aligned_keeps_every_cell_in_its_column(rows):
-    lines = report.aligned(rows)
+    lines = tables.aligned(rows)
     assert [line.split() for line in lines] == rows
     assert len({len(line) for line in lines}) == 1 or len(rows[0]) == 1
 

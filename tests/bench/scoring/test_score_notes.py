@@ -15,7 +15,7 @@ from symsol_annot.bench.predictions.writing.submission import (
     write_density,
     write_hypotheses,
 )
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.reference import ROWS, score_row
 from symsol_annot.bench.scoring.scorers.hypotheses import ANGLES_DEG
 from symsol_annot.bench.scoring.scoring import score_file
@@ -133,7 +133,7 @@ def test_a_note_does_not_keep_a_score_from_ranking_and_stands_in_table_and_docum
     document = report.to_document([score_file(path, dataset.folder)])
     (note,) = document["objects"]["tetX"]["hypotheses"]["notes"]
     assert document["ranks"] is True
-    assert " ".join(report.tables(document).split()).count(f"NOTE: {note}") == 1
+    assert " ".join(tables.tables(document).split()).count(f"NOTE: {note}") == 1
 
 
 # Answers that look normalised

@@ -13,7 +13,7 @@ from symsol_annot.bench.predictions.proposals import heaviest
 from symsol_annot.bench.predictions.tracks import table as track_table
 from symsol_annot.bench.predictions.tracks.track import Track, TrackReader
 from symsol_annot.bench.predictions.writing.submission import write_columns, write_hypotheses
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.comparison import compare
 from symsol_annot.bench.scoring.metric import LOWER, Metric, Place
 from symsol_annot.bench.scoring.scorers.scorer import Scorer, TrackScoring
@@ -111,7 +111,7 @@ def test_a_new_track_is_scored_beside_the_others_by_image_and_by_member(guessed,
 def test_a_new_track_is_in_tables_and_comparisons_and_pictures(guessed, tetX, tmp_path):
     path, rotation = guessed
     document = report.to_document([score_file(path, tetX.folder)])
-    assert "error of the guess, rad \N{DOWNWARDS ARROW}" in report.tables(document)
+    assert "error of the guess, rad \N{DOWNWARDS ARROW}" in tables.tables(document)
     for name in ("a.json", "b.json"):
         (tmp_path / name).write_text(report.to_json({**document, "method": name}))
     assert "tetX, guess; differences from a.json: guess" in compare([tmp_path / "a.json", tmp_path / "b.json"])

@@ -16,6 +16,7 @@ _GRAM_SCHMIDT = (
 )
 _START_BYTES = 256
 _OF_TORCH = (".pt", ".pth", ".ckpt")
+_CONVERTED = (".npz", ".npy", ".pt", ".pth")
 _OTHERS = {  # how other files begin, what they are, and how the array in them is had
     b"\x93NUMPY": ("an array of NumPy's", "np.load({name})"),
     b"PK\x03\x04": ("a zip, as np.savez writes", "np.load({name})['R']"),
@@ -131,4 +132,9 @@ def mend_of_file(path: Path, set_folder: str) -> str:
         what, read = "a file of PyTorch's", "torch.load({name}).cpu().numpy()"
     array = read.format(name=repr(path.name))
     write = f"write_hypotheses('preds.h5', symsol_annot.load({set_folder!r}), {array}, method='mine')"
-    return f"is {what}, where an HDF5 file of predictions belongs, which {write} makes of an (N, M, 3, 3) array"
+    command = (
+        f"; `symsol-annot convert {path}` does so, of other forms and frames too" if path.suffix in _CONVERTED else ""
+    )
+    return (
+        f"is {what}, where an HDF5 file of predictions belongs, which {write} makes of an (N, M, 3, 3) array{command}"
+    )

@@ -38,6 +38,15 @@ class NormalisationTried:
         self._largest.append(float(asked.max()))
         self._of_decoys.append(float(asked[1:].mean(dtype=np.float64)))
 
+    def seen(self) -> npt.NDArray[np.float64]:
+        """Return what was taken of the images, (3, n)."""
+        return np.array([self._sums, self._largest, self._of_decoys], dtype=np.float64)
+
+    def see(self, seen: npt.NDArray[np.float64]) -> None:
+        """Take what was taken of other images elsewhere, (3, n)."""
+        for mine, theirs in zip((self._sums, self._largest, self._of_decoys), seen.tolist(), strict=True):
+            mine.extend(theirs)
+
     def notes(self) -> tuple[str, ...]:
         """Return a line where hardly anything is claimed and the answers add up to 1."""
         sums, largest = np.array(self._sums), np.array(self._largest)

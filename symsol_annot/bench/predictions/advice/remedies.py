@@ -38,10 +38,10 @@ class _Draft:
         more_words, more_imports = (words,) if words else (), (imports,) if imports else ()
         return _Draft(code.format(self.code), value, self.words + more_words, self.imports + more_imports)
 
-    def line(self, target: str) -> str:
+    def line(self, target: str, end: str = "") -> str:
         """Return the line that gives a name what the code gives, with what it imports."""
         imports = sorted({*self.imports, *(("import numpy as np",) if "np." in self.code else ())})
-        return "; ".join([*imports, f"{target}{self.code}"])
+        return "; ".join([*imports, f"{target}{self.code}{end}"])
 
 
 def six_numbers_to_rotation(six: npt.ArrayLike) -> Array:
@@ -58,29 +58,46 @@ def six_numbers_to_rotation(six: npt.ArrayLike) -> Array:
     return rotations
 
 
-def remedy_for_array(given: Any, images: int) -> str:
+def remedy_for_array(given: Any, images: int, name: str = "hypotheses") -> str:
     """Return what to do with something that is no (N, M, 3, 3) array of rotations, after "; "; "" where unknown.
 
     Args:
-        given: as the argument `hypotheses`.
+        given: as the argument.
         images: N.
+        name: of the argument.
     """
     if isinstance(given, str | Path):
-        return said(["this is a path"], _loading(Path(given)))
-    whole = None if isinstance(given, Mapping) else _hypotheses_of_all(given, images)
+        return said(["this is a path"], _loading(Path(given), name))
+    whole = None if isinstance(given, Mapping) else _hypotheses_of_all(given, images, name)
     if whole is not None:
-        return said(whole.words, whole.line("hypotheses = "))
+        return said(whole.words, whole.line(f"{name} = "))
     row = _first_row(given, images)
     draft = None if row is None else _hypotheses_of_one_image(row, "rows[i]")
     if draft is None:
         return ""
-    return said(["this is a row per image", *draft.words], draft.line("hypotheses = lambda i, rows=hypotheses: "))
+    return said(["this is a row per image", *draft.words], draft.line(f"{name} = lambda i, rows={name}: "))
 
 
-def remedy_for_answer(given: Any) -> str:
-    """Return what to do with a callable's answer about one image that is no (m, 3, 3) array of rotations."""
+def remedy_for_answer(given: Any, name: str = "hypotheses") -> str:
+    """Return what to do with a callable's answer about one image that is no (m, 3, 3) array of rotations.
+
+    Args:
+        given: the answer.
+        name: of the argument that is the callable.
+    """
     found = _hypotheses_of_one_image(given, "ask(i)")
-    return said(found.words, found.line("hypotheses = lambda i, ask=hypotheses: ")) if found else ""
+    return said(found.words, found.line(f"{name} = lambda i, ask={name}: ")) if found else ""
+
+
+def remedy_for_row(given: Any, name: str) -> str:
+    """Return what to do with an entry of a list, about one image, that is no (m, 3, 3) array of rotations.
+
+    Args:
+        given: the entry.
+        name: of the argument that is the list.
+    """
+    found = _hypotheses_of_one_image(given, "rows")
+    return said(found.words, found.line(f"{name} = [", f" for rows in {name}]")) if found else ""
 
 
 def remedy_for_numbers(given: Any, name: str) -> str:
@@ -105,14 +122,14 @@ def said(words: Sequence[str], line: str) -> str:
     return f"; {' and '.join(words)}; this line mends it:\n    {line}" if words and line else ""
 
 
-def _loading(path: Path) -> str:
+def _loading(path: Path, name: str) -> str:
     match path.suffix:
         case ".npy":
-            return f"import numpy as np; hypotheses = np.load({str(path)!r})"
+            return f"import numpy as np; {name} = np.load({str(path)!r})"
         case ".npz":
-            return f"import numpy as np; hypotheses = np.load({str(path)!r})[{_name_in(path)!r}]"
+            return f"import numpy as np; {name} = np.load({str(path)!r})[{_name_in(path)!r}]"
         case ".pt" | ".pth":
-            return f'import torch; hypotheses = torch.load({str(path)!r}, map_location="cpu", weights_only=True)'
+            return f'import torch; {name} = torch.load({str(path)!r}, map_location="cpu", weights_only=True)'
     return ""
 
 
@@ -132,8 +149,8 @@ def _first_row(given: Any, images: int) -> Any:
     return given.get(0) if isinstance(given, Mapping) else given[0]
 
 
-def _hypotheses_of_all(given: Any, images: int) -> _Draft | None:
-    draft = _plain(given, "hypotheses")
+def _hypotheses_of_all(given: Any, images: int, name: str) -> _Draft | None:
+    draft = _plain(given, name)
     if draft is None or draft.value.ndim < 2 or not draft.value.size:
         return None
     if draft.value.shape[0] != images and draft.value.shape[1:2] == (images,):

@@ -1,7 +1,7 @@
 """What a track is: its data sets and attributes, what reads it, what writes it, and what it ranks by."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -85,6 +85,10 @@ class Track:
         if not (about.is_sealed and self.why_not_sealed):
             return ""
         return f"the track {self.name!r} is not offered on sealed images: {self.why_not_sealed} (docs/sealed.md)"
+
+    def ranked_among(self, names: Container[str]) -> str:
+        """Return the metric by which scores that have metrics of these names rank."""
+        return self.ranked_by_if_there if self.ranked_by_if_there in names else self.ranked_by
 
     @property
     def name(self) -> str:

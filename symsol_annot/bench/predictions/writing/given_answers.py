@@ -42,8 +42,13 @@ def to_array(given: Any, what: str, remedy: Callable[[], str] = str) -> Array:
     return array
 
 
-def checked_hypotheses(returned: Any, i: int) -> Array:
-    """Return a callable's hypotheses (m, 3, 3) R_m2c about image i, f4 or f8 as they came.
+def checked_hypotheses(returned: Any, i: int, mend: Callable[[Any], str] = remedies.remedy_for_answer) -> Array:
+    """Return hypotheses (m, 3, 3) R_m2c about image i, f4 or f8 as they came.
+
+    Args:
+        returned: by a callable, or an entry of a list.
+        i: the image.
+        mend: from what was returned to the end of the message that says how it is mended.
 
     Raises:
         SettingsError: a wrong shape or type.
@@ -51,7 +56,7 @@ def checked_hypotheses(returned: Any, i: int) -> Array:
     """
 
     def remedy() -> str:
-        return remedies.remedy_for_answer(returned)
+        return mend(returned)
 
     what = f"hypotheses of image {i}"
     hypotheses = to_array(returned, what, remedy)

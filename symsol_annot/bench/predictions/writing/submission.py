@@ -15,35 +15,32 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from symsol_annot.bench.predictions.advice import answer_remedies, remedies
-from symsol_annot.bench.predictions.columns import Array, Column, whole_column
-from symsol_annot.bench.predictions.format import MAX_GRID_LEVEL, REALS, STANDARD_THRESHOLD, is_level
-from symsol_annot.bench.predictions.queries import Queries, group_sha256
+from symsol_annot.bench.predictions.columns import Array
 from symsol_annot.bench.predictions.tracks.classifier import CLASSIFIER, DEFAULT_FLOOR
-from symsol_annot.bench.predictions.tracks.density import DENSITY, DENSITY_FLOOR
+from symsol_annot.bench.predictions.tracks.density import DENSITY
 from symsol_annot.bench.predictions.tracks.hypotheses import HYPOTHESES
 from symsol_annot.bench.predictions.tracks.table import TRACKS
-from symsol_annot.bench.predictions.writing.answer_file import Answer
-from symsol_annot.bench.predictions.writing.given_answers import (
-    checked_hypotheses,
-    listed_density,
-    log_densities,
-    probabilities,
-    to_array,
+from symsol_annot.bench.predictions.writing.asked import (
+    DEFAULT_BATCH,
+    DEFAULT_DENSITY_FLOOR,
+    classifier_answers,
+    classifier_attributes,
+    columns_of_array,
+    density_answers,
+    density_attributes,
+    given_column,
+    hypotheses_answers,
+    refuse_no_callable,
 )
 from symsol_annot.bench.predictions.writing.kept_answers import Resume
 from symsol_annot.bench.predictions.writing.predictions_writer import held_predictions
 from symsol_annot.errors import PredictionsError, SettingsError
-from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_sha256, grid_size
+from symsol_annot.rotations.grid import STANDARD_LEVEL, grid_size
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 
 PathLike: TypeAlias = str | os.PathLike[str]
-
-DEFAULT_BATCH = 2**16
-DEFAULT_DENSITY_FLOOR = 1e-300  # the least that a floor may be, whose logarithm a file may hold
 
 
 def write_hypotheses(
@@ -85,19 +82,14 @@ def write_hypotheses(
         raise SettingsError("weights: belong to an array of hypotheses; a callable leaves out what is absent")
     with held_predictions(path, dataset, HYPOTHESES, {"method": method}, resume) as file:
         if not callable(hypotheses):
-            columns = _columns_of_array(hypotheses, weights, len(dataset))
+            columns = columns_of_array(hypotheses, weights, len(dataset))
             try:
                 file.write(columns)
             except PredictionsError as error:
                 remedy = remedies.remedy_for_array(hypotheses, len(dataset))
                 raise _with_remedy(str(path), error, remedy) from None
             return
-        ask = hypotheses
-
-        def answer(i: int) -> Answer:
-            return {"hypotheses": checked_hypotheses(ask(i), i)}
-
-        file.write_answers(answer, resume=resume, progress=progress)
+        file.write_answers(hypotheses_answers(hypotheses), resume=resume, progress=progress)
 
 
 def write_classifier(
@@ -135,37 +127,12 @@ def write_classifier(
             are there that may be another model's.
         OutputError: another process writes the file, or it or what is kept beside it cannot be written.
     """
-    if not 0.0 <= floor <= STANDARD_THRESHOLD:
-        raise SettingsError(f"floor: expected 0 to {STANDARD_THRESHOLD}, found {floor}")
-    attributes = {**_grid_attributes(level, batch_size), "floor": float(floor)}
-    attributes["group_sha256"] = group_sha256(dataset.symmetry_group)
+    attributes = {"method": method, **classifier_attributes(dataset, floor, level, batch_size)}
     advice = "each image is asked at its own queries; answers in the form of the file go to write_columns"
-    _refuse_no_callable(classify, "classify", f"; {advice}")
-    with held_predictions(path, dataset, CLASSIFIER, {"method": method, **attributes}, resume) as file:
-        answer = _classifier_answers(classify, dataset, floor=floor, level=level, batch_size=batch_size)
+    refuse_no_callable(classify, "classify", f"; {advice}")
+    with held_predictions(path, dataset, CLASSIFIER, attributes, resume) as file:
+        answer = classifier_answers(classify, dataset, floor=floor, level=level, batch_size=batch_size)
         file.write_answers(answer, resume=resume, progress=progress)
-
-
-def _classifier_answers(
-    classify: Callable[[int, Rotations], Array], dataset: Dataset, *, floor: float, level: int, batch_size: int
-) -> Callable[[int], Answer]:
-    """Return what takes an image's index to the classifier's answers at its queries and on the grid."""
-    grid, queries = equivolumetric_grid(level), Queries(dataset.fingerprint, dataset.symmetry_group)
-    rotation = dataset.labels().rotation
-
-    def answer(i: int) -> Answer:
-        at_queries = probabilities(classify, i, queries.rotations(i, rotation[i]), batch_size)
-        on_grid = probabilities(classify, i, grid, batch_size)
-        if all(answer_remedies.is_normalised(answers, batch_size) for answers in (at_queries, on_grid)):
-            raise SettingsError(f"image {i}: {answer_remedies.normalised_classifier(level, len(grid))}")
-        listed = np.flatnonzero(on_grid > np.float32(floor))
-        return {
-            "query_probability": at_queries,
-            "grid_indices": listed.astype(np.int32),
-            "grid_probabilities": on_grid[listed],
-        }
-
-    return answer
 
 
 def write_density(
@@ -206,31 +173,12 @@ def write_density(
             are there that may be another model's.
         OutputError: another process writes the file, or it or what is kept beside it cannot be written.
     """
-    if not DEFAULT_DENSITY_FLOOR <= floor < 1.0:
-        raise SettingsError(f"floor: expected at least {DEFAULT_DENSITY_FLOOR} and less than 1, found {floor}")
-    attributes = {"method": method, **_grid_attributes(level, batch_size), DENSITY_FLOOR: float(floor)}
+    attributes = {"method": method, **density_attributes(floor, level, batch_size)}
     remedy = answer_remedies.density_of_array(log_density, len(dataset), level, grid_size(level))
-    _refuse_no_callable(log_density, "log_density", remedy)
+    refuse_no_callable(log_density, "log_density", remedy)
     with held_predictions(path, dataset, DENSITY, attributes, resume) as file:
-        answer = _density_answers(log_density, floor=floor, level=level, batch_size=batch_size)
+        answer = density_answers(log_density, floor=floor, level=level, batch_size=batch_size)
         file.write_answers(answer, resume=resume, progress=progress)
-
-
-def _density_answers(
-    log_density: Callable[[int, Rotations], Array], *, floor: float, level: int, batch_size: int
-) -> Callable[[int], Answer]:
-    """Return what takes an image's index to its density on the grid, made to add up to 1."""
-    grid = equivolumetric_grid(level)
-
-    def answer(i: int) -> Answer:
-        log_p = log_densities(log_density, i, grid, batch_size)
-        if fault := answer_remedies.fault_of_log_densities(log_p, batch_size, level):
-            raise SettingsError(f"image {i}: expected log-densities; {fault}")
-        log_p = log_p - log_p.max()
-        log_p -= np.log(np.exp(log_p).sum())
-        return listed_density(log_p, floor)
-
-    return answer
 
 
 def write_columns(
@@ -262,48 +210,10 @@ def write_columns(
         raise SettingsError(f"{', '.join(odd)}: not of the track {track!r}, which has {', '.join(expected)}")
     defaults = chosen.defaults(dataset, attributes)
     attributes |= {name: value for name, value in defaults.items() if name not in attributes}
-    made = {name: _column(column, name) for name, column in columns.items()}
+    made = {name: given_column(column, name) for name, column in columns.items()}
     with held_predictions(path, dataset, chosen, {"method": method, **attributes}, resume=False) as file:
         file.write(made)
 
 
-def _refuse_no_callable(given: Any, name: str, advice: str) -> None:
-    if not callable(given):
-        raise SettingsError(f"{name}: expected a callable, found {type(given).__name__}{advice}")
-
-
-def _column(given: Any, name: str) -> Column:
-    array = to_array(given, name, lambda: remedies.remedy_for_numbers(given, name))
-    if array.ndim == 0:
-        raise SettingsError(f"{name}: expected an array, found the number {array}")
-    return whole_column(array)
-
-
-def _columns_of_array(hypotheses: Any, weights: Any, images: int) -> dict[str, Column]:
-    def remedy() -> str:
-        return remedies.remedy_for_array(hypotheses, images)
-
-    array = to_array(hypotheses, "hypotheses", remedy)
-    is_formed = array.dtype.str in REALS and array.ndim == 4 and array.shape[2:] == (3, 3) and len(array) == images
-    if not is_formed and (mending := remedy()):
-        found = f"{array.dtype} of shape {array.shape}"
-        raise SettingsError(
-            f"hypotheses: expected float32 or float64 of shape ({images}, M, 3, 3), found {found}{mending}"
-        )
-    columns = {"hypotheses": _column(hypotheses, "hypotheses")}
-    if weights is not None:
-        columns["hypothesis_weights"] = _column(weights, "hypothesis_weights")
-    return columns
-
-
 def _with_remedy(path: str, error: PredictionsError, remedy: str) -> PredictionsError:
     return PredictionsError(path, [*error.faults[:-1], error.faults[-1] + remedy])
-
-
-def _grid_attributes(level: int, batch_size: int) -> dict[str, Any]:
-    """Return what a file says about its grid, after checking what a writer was told about it."""
-    if not is_level(level):
-        raise SettingsError(f"level: expected 0 to {MAX_GRID_LEVEL}, found {level!r}")
-    if batch_size < 1:
-        raise SettingsError(f"batch_size: expected at least 1, found {batch_size}")
-    return {"grid_level": level, "grid_sha256": grid_sha256(level)}

@@ -23,6 +23,10 @@ from symsol_annot.rotations.grid import grid_size
 SWEPT_THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 EXACT_F = 0.999  # the members and next to nothing beside them: no function of R that is continuous ends so sharply
 NEAR_SET_RAD = float(np.radians(0.5))
+F_NOTE = (
+    "  F is not compared from one stratum to another: a set of 720 has more grid rotations around it than a set of 1,",
+    "  but not 720 times as many, so that equally tight answers have other precisions.",
+)
 _DECOY_FACTOR, _DECOY_SLACK = 3.0, 0.01
 
 
@@ -227,6 +231,21 @@ class ClassifierScorer(GridScorer):
         near = self._grid.within(self._truth.labels.members(i), NEAR_SET_RAD)
         return len(claimed) - len(np.intersect1d(claimed, near, assume_unique=True))
 
+    def chance_and_best(self, over_all: Mapping[str, Figure]) -> tuple[float, float]:  # noqa: ARG002 - as others need it
+        """Return the F-measure of claiming everything, the most that chance gives, and that of the members alone."""
+        sizes = self._truth.set_sizes
+        everything = metrics.f_measure(sizes, np.full(len(sizes), grid_size(self._level)), sizes)
+        return float(everything.mean()), 1.0
+
+    def tried(self) -> dict[str, Any]:
+        """Return what notes are made of."""
+        return {**super().tried(), "normalisation": self._normalisation.seen()}
+
+    def try_too(self, tried: Mapping[str, Any]) -> None:
+        """Take what another process's scorer has tried."""
+        super().try_too(tried)
+        self._normalisation.see(tried["normalisation"])
+
     def warnings(self, over_all: Mapping[str, Figure]) -> tuple[str, ...]:
         """Return why the result does not rank: it says yes to what it is asked, or is on another grid."""
         decoys, grid = (over_all[name].value for name in ("decoy_false_positive_rate", "grid_positive_rate"))
@@ -256,6 +275,8 @@ def _count_above(probability: npt.NDArray[Any], thresholds: npt.NDArray[np.float
 
 def _caption(entry: Mapping[str, Any]) -> Iterator[str]:
     yield f"  p > {entry['threshold']}, grid of level {entry['grid_level']}; the sweep is in --json"
+    if "hidden" in entry:
+        yield from F_NOTE
 
 
 def _is_exact(figures: Mapping[str, Any]) -> bool:

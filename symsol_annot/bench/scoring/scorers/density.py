@@ -10,11 +10,13 @@ import numpy.typing as npt
 from symsol_annot.bench.predictions.tracks.density import DENSITY, DENSITY_FLOOR, DensityBlock, DensityReader
 from symsol_annot.bench.predictions.truth import Truth
 from symsol_annot.bench.scoring import metrics
+from symsol_annot.bench.scoring.averages import Figure
 from symsol_annot.bench.scoring.metric import HIGHER, LOWER, NEITHER, Metric, Place, Values
 from symsol_annot.bench.scoring.scorers.scorer import ASKED_OTHERWISE, GridScorer, TrackScoring
 
 REGIONS = (50, 80, 90, 95, 99)  # masses, in percent, of the smallest regions in which members are counted
 SHOWN_REGION = 90
+_LOWEST_FLOOR = 1e-300  # `write_density`'s own, under which no figure that is read depends on it
 EXACT_NATS = 0.01  # below the ceiling: all of the mass is on the cells of the set
 
 
@@ -136,6 +138,10 @@ class DensityScorer(GridScorer):
         of_members = _looked_up(indices, listed, cells, -1.0)
         return figures, metrics.share_in_regions(of_members, listed, size, np.array(REGIONS) / 100.0)
 
+    def chance_and_best(self, over_all: Mapping[str, Figure]) -> tuple[float, float]:
+        """Return the log-likelihood of the uniform density, and that of the best density on this grid."""
+        return -2.0 * float(np.log(np.pi)), over_all["log_likelihood_ceiling"].value
+
     def notes(self) -> tuple[str, ...]:
         """Return what its author should know: that another convention fits far better."""
         return self._conventions.notes(ASKED_OTHERWISE)
@@ -151,7 +157,7 @@ def _looked_up(
 
 
 def _caption(entry: Mapping[str, Any]) -> Iterator[str]:
-    if DENSITY_FLOOR in entry:
+    if entry.get(DENSITY_FLOOR, 0.0) > _LOWEST_FLOOR:
         yield f"  probabilities of cells under {entry[DENSITY_FLOOR]:g} were not told apart by its writer"
 
 

@@ -14,9 +14,10 @@ from symsol_annot.bench.predictions.tracks.hypotheses import HYPOTHESES, Hypothe
 from symsol_annot.bench.predictions.tracks.track import Indices
 from symsol_annot.bench.predictions.truth import Truth
 from symsol_annot.bench.scoring import metrics
+from symsol_annot.bench.scoring.averages import Figure
 from symsol_annot.bench.scoring.metric import HIGHER, LOWER, Metric, Place, Values
 from symsol_annot.bench.scoring.scorers.scorer import Scorer, TrackScoring
-from symsol_annot.rotations.so3 import Angles, Rotations
+from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, uniform_rotations
 
 ANGLES_DEG = (1, 2, 5, 10, 15, 30)
 RANKED_ANGLE_DEG = 5
@@ -25,6 +26,8 @@ F_UNWEIGHTED = HYPOTHESES.ranked_by_if_there
 # was rounded to float32, or multiplied in it, is off by less than the slack (docs/metrics.md, "Angles").
 SLACK_RAD = 1e-6
 EXACT_RAD = 1e-3  # 0.06 degrees, a fifteenth of the thesis's best; no method reads that from pixels
+_RANKED_RAD = float(np.radians(RANKED_ANGLE_DEG)) + SLACK_RAD
+_CHANCE_IMAGES, _CHANCE_HYPOTHESES = 64, 256  # are drawn at the most, to tell what chance gives
 _PAIRS_AT_ONCE = 2**20
 
 
@@ -215,6 +218,30 @@ class HypothesesScorer(Scorer):
         each = [None] * len(errors) if weights is None else weights
         shares = [metrics.share_within(e, self._thresholds_rad, w) for e, w in zip(errors, each, strict=True)]
         return np.reshape(shares, (len(errors), len(ANGLES_DEG))).astype(np.float64)
+
+    def chance_and_best(self, over_all: Mapping[str, Figure]) -> tuple[float, float]:  # noqa: ARG002 - as others need it
+        """Return the F-measure of as many uniform rotations, drawn once, and a bound for as many hypotheses."""
+        return self._chance(), self._best()
+
+    def _best(self) -> float:
+        """Return the mean F-measure, were all hypotheses right and each near as many members as one can be.
+
+        A rotation within T of several has them within 2 T of each other. Members so close lie on one circle, of which
+        the elements within 2 T of the identity are both sides: half of them, rounded up, fit.
+        """
+        sizes, group = self._truth.set_sizes, self._truth.symmetry_group
+        near = np.count_nonzero(angle_between(group[0], group) <= 2.0 * _RANKED_RAD)
+        coverage = np.minimum(1.0, self.facts["M"] * ((near + 1) // 2) / sizes)
+        return float(metrics.harmonic_mean(coverage, np.ones(len(sizes))).mean())
+
+    def _chance(self) -> float:
+        """Return the mean F-measure of uniform rotations, over some images evenly spread."""
+        count = min(int(self.facts["M"]), _CHANCE_HYPOTHESES)
+        images = np.linspace(0, len(self._truth) - 1, min(len(self._truth), _CHANCE_IMAGES)).astype(np.int64)
+        drawn = uniform_rotations(len(images) * count, np.random.default_rng(0)).reshape(-1, count, 3, 3)
+        thresholds = np.array([_RANKED_RAD])
+        found = [[metrics.share_within(e, thresholds) for e in pair] for pair in self.errors(images, drawn)]
+        return float(np.mean([metrics.harmonic_mean(*pair) for pair in found]))
 
     def notes(self) -> tuple[str, ...]:
         """Return what its author should know: that another convention fits far better."""

@@ -50,6 +50,25 @@ class Scorer(ABC):
         """
         return ()
 
+    def chance_and_best(self, over_all: Mapping[str, Figure]) -> tuple[float, float]:  # noqa: ARG002 - as others need it
+        """Return what the figure that ranks is without looking at the images, and what it is at best.
+
+        NaN stands for what is not known.
+
+        Args:
+            over_all: metric to figure over all images.
+        """
+        return np.nan, np.nan
+
+    def tried(self) -> dict[str, Any]:
+        """Return what notes are made of, in a form that another process's scorer of the same truth takes."""
+        return {"conventions": self._conventions.found}
+
+    def try_too(self, tried: Mapping[str, Any]) -> None:
+        """Take what another process's scorer has tried."""
+        for image, rotations in tried["conventions"].items():
+            self._conventions.add(image, rotations)
+
     @abstractmethod
     def notes(self) -> tuple[str, ...]:
         """Return what the result's author should know of it, though it ranks, once all blocks were scored."""

@@ -1,0 +1,1 @@
+"""Predictions in other forms, frames and files."""
