@@ -22,7 +22,7 @@ _NEAR_CHANCE = 0.6  # of the error of predictions that belong to other images
 _FAR_BETTER = 3.0  # times
 
 _FLIP = np.diag([1.0, -1.0, -1.0])  # between a camera that looks along z, y down, and one that looks along -z, y up
-_Y_UP = rotations_about((1.0, 0.0, 0.0), np.pi / 2.0)  # a model whose y is up, as one whose z is
+_Z_UP = rotations_about((1.0, 0.0, 0.0), np.pi / 2.0)  # takes y to z: a model whose z is up, as one whose y is
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ CONVENTIONS = (  # the plainest first: where the body's symmetries make several 
         f"{_D} @ {_T} @ {_D}",
         lambda R: _FLIP @ _transposed(R) @ _FLIP,
     ),
-    Convention("with the model's y up", f"R @ {_X.format(90)}", lambda R: R @ _Y_UP),
-    Convention("with the model's z up where y was", f"R @ {_X.format(-90)}", lambda R: R @ _Y_UP.T),
+    Convention("with the model's y up", f"R @ {_X.format(-90)}", lambda R: R @ _Z_UP.T),
+    Convention("with the model's z up where y was", f"R @ {_X.format(90)}", lambda R: R @ _Z_UP),
     Convention("with quaternions read as (x, y, z, w)", _QUATERNIONS.format(1), lambda R: _quaternions_turned(R, 1)),
     Convention("with quaternions read as (w, x, y, z)", _QUATERNIONS.format(-1), lambda R: _quaternions_turned(R, -1)),
 )

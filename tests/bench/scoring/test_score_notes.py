@@ -87,6 +87,13 @@ def test_predictions_in_another_convention_are_told_which_and_what_to_write(mist
     assert scores.figures["all"]["precision_mean_error_rad"].value < 0.06
 
 
+def test_a_model_with_y_up_is_called_that(dataset, tmp_path):
+    write_hypotheses(tmp_path / "preds.h5", dataset, nearly_right(dataset, 1) @ UP, method="mine", progress=False)
+    (note,) = notes_of(dataset, tmp_path / "preds.h5")
+    assert np.allclose(UP @ [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])  # from a model whose y is up to ours
+    assert "with the model's y up" in note
+
+
 def test_a_density_and_a_classifier_in_another_convention_are_told_so(sets, tmp_path):
     dataset = sets["tetX"]
     members = [dataset.labels().symmetry_set(i) for i in range(len(dataset))]
