@@ -201,16 +201,19 @@ def predict(row: Row, name: str) -> None:
     path, note, weights = row.predictions(name), row.note(f"{name}-predict"), file_sha256(row.weights(name))
     known = read_note(note)
     is_by_these = known.get("weights_sha256", weights) == weights
-    if path.is_file() and is_by_these:
+    is_whole = known.get("is_whole", True)  # what comes from elsewhere is; tracks are written one after another
+    if path.is_file() and is_by_these and is_whole:
         return
-    path.unlink(missing_ok=True)  # by other weights
-    start, before = time.monotonic(), known.get("minutes", 0.0) if is_by_these else 0.0
+    if not is_by_these:
+        path.unlink(missing_ok=True)
+    start, before, is_whole = time.monotonic(), known.get("minutes", 0.0) if is_by_these else 0.0, False
     try:
         run(row.folder, row.predict_command(name))
+        is_whole = True
     finally:  # what was answered before an interruption is kept, so its time counts
         spent = before + (time.monotonic() - start) / 60
         device = hardware(choose_device("auto"))
-        write_note(note, {"weights_sha256": weights, "minutes": spent, "device": device})
+        write_note(note, {"weights_sha256": weights, "minutes": spent, "device": device, "is_whole": is_whole})
 
 
 def score(row: Row) -> None:

@@ -22,8 +22,9 @@ from symsol_annot.bench.models.methods.classifier.negatives import random_rotati
 from symsol_annot.bench.models.methods.diffusion.heat_kernel import LEAST_RAD, MOST_RAD, HeatKernel
 from symsol_annot.bench.models.methods.diffusion.recipe import DiffusionRecipe
 from symsol_annot.bench.models.methods.method import Asked
+from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import PoseDensity, grid_of
+from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, PoseDensity
 from symsol_annot.bench.models.networks.answers import embeddings_of
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.mixtures import PoseMixture
@@ -38,7 +39,6 @@ _EVALUATED, _CALIBRATED = 128, 256  # images
 _EMBEDDED_AT_ONCE, _SAMPLED_AT_ONCE = 64, 16  # images
 _BLOCK = 512  # images decoded at once
 _DEVIATIONS_RAD, _UNIFORM_SHARES = np.geomspace(0.01, 0.5, 16), (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
-_FLOOR = 1e-9  # of a cell's probability: a file of 5,000 images stays small
 
 
 class DiffusionLearner:
@@ -162,7 +162,7 @@ class DiffusionMethod:
                 dataset,
                 cells,
                 method=by,
-                floor=_FLOOR,
+                floor=LEAST_CELL,
                 resume=resume,
                 level=asked.level,
                 batch_size=len(grid),

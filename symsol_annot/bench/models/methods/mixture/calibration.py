@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import Calibration, Floats, f_measure
-from symsol_annot.bench.models.methods.mixture.image_density import ImageDensity, grid_of
+from symsol_annot.bench.models.methods.mixture.image_density import ImageDensity
 from symsol_annot.bench.models.methods.mixture.recipe import MARKED_CIRCLE
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.sets.dataset import Labels

@@ -2,7 +2,7 @@
 
 import copy
 from abc import ABC, abstractmethod
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -10,48 +10,23 @@ import torch
 from torch import Tensor
 
 from symsol_annot.bench.models.methods.mixture.body import Body
+from symsol_annot.bench.models.methods.mixture.cells import Grid
 from symsol_annot.bench.models.methods.mixture.claims import Calibration, best_threshold
+from symsol_annot.bench.models.methods.mixture.marking_views import MarkingViews
 from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, GROUP, MARKED_CIRCLE
 from symsol_annot.bench.models.networks.mixture_network import MixtureNetwork, Told
 from symsol_annot.bench.models.networks.mixtures import AxisMixture, PoseMixture
-from symsol_annot.rotations.grid import GridIndex, grid_size
+from symsol_annot.rotations.grid import grid_size
 
 HYPOTHESES = 30
+LEAST_CELL = 1e-9  # of a cell's probability: less is not told apart, and a file of 5,000 images stays small
 _SAMPLES = 1024
 _LEAST_WEIGHT = 0.01  # of a component that is a hypothesis
 _SAME = 6  # decimals to which axes are compared
 _SLACK = 1.25  # of the angle beyond which a component is taken to be below a level: it is not quite normal
 _EVERYWHERE_RAD = 1.0  # from where the whole grid is looked at
-_TILTS, _TURNS = 181, 720  # at which the share of views that hide the marking is known
 
 Indices = npt.NDArray[np.int64]
-
-
-class Grid:
-    """The equivolumetric grid of a level as tensors, and what is found on it."""
-
-    def __init__(self, level: int) -> None:
-        self.index = GridIndex(level)
-        self.level = level
-        self.rotations = torch.from_numpy(self.index.rotations).float()
-        cell = (8.0 * np.pi**2 / grid_size(level)) ** (1.0 / 3.0)  # the side of a cube of a cell's volume, in rad
-        self.blur_rad = cell / np.sqrt(12.0)  # the deviation of a uniform distribution on it, along a side
-
-    def __len__(self) -> int:
-        return len(self.rotations)
-
-    @lru_cache(maxsize=4)  # noqa: B019 - grids are few, and live as long as the program
-    def axes(self, axis: tuple[float, float, float]) -> tuple[Tensor, Tensor]:
-        """Return the distinct axes R a (k, 3) of the grid, and which of them each of its rotations has (N,)."""
-        rounded = (self.rotations @ torch.tensor(axis)).numpy().round(_SAME) + 0.0
-        distinct, which = np.unique(rounded, axis=0, return_inverse=True)
-        return torch.from_numpy(distinct), torch.from_numpy(which.reshape(-1))
-
-
-@lru_cache(maxsize=2)
-def grid_of(level: int) -> Grid:
-    """Return the grid of a level, made once."""
-    return Grid(level)
 
 
 class ImageDensity(ABC):
@@ -112,11 +87,11 @@ class PoseDensity(ImageDensity):
         return near, self.log_claim(grid.rotations[near])
 
     def on_cells(self, grid: Grid) -> Tensor:
-        """Return ln p (N,) averaged over cells: the uniform component's, and the others' where they reach it."""
+        """Return ln p (N,) averaged over cells: the uniform component's, the others' where it is not too little."""
         blurred = self.mixture.blurred(grid.blur_rad)
         least = float(blurred.log_weights[0, -1])
         log_p = torch.full((len(grid),), least)
-        near = _above(blurred, least - 2.0, grid)
+        near = _above(blurred, max(least - 2.0, float(np.log(LEAST_CELL * len(grid)))), grid)
         log_p[near] = blurred.log_density(grid.rotations[near])[0]
         return log_p
 
@@ -203,7 +178,9 @@ class MarkedCircleDensity(ImageDensity):
     The image claims the one that promises the higher F-measure, given how likely it is that the marking shows.
     """
 
-    def __init__(self, told: Told, views: "_Views", body: Body, calibration: Calibration, rng: torch.Generator) -> None:
+    def __init__(
+        self, told: Told, views: MarkingViews, body: Body, calibration: Calibration, rng: torch.Generator
+    ) -> None:
         self._told, self._body, self._rng, self._calibration = told, body, rng, calibration
         self._views = views
         self._axis_key = tuple(body.axis.tolist())
@@ -300,7 +277,7 @@ class MarkedCircleDensity(ImageDensity):
         """Return ln p (N,) on the grid; the pose's part only where the axis's density is not uniform."""
         axes, which = grid.axes(self._axis_key)
         of_axis = self.axis.log_density(axes)[0]
-        log_p = of_axis[which] + self._views.log_relative(grid.rotations)
+        log_p = of_axis[which] + self._views.log_relative_on(grid)
         log_p += float(np.log1p(-min(self.probability_shown, 1.0 - 1e-6)))
         near = torch.nonzero((of_axis > float(self.axis.log_weights[0, -1]) + 0.1)[which])[:, 0]
         log_p[near] = self.log_density(grid.rotations[near])
@@ -318,30 +295,6 @@ class MarkedCircleDensity(ImageDensity):
 
 
 _AXIS_SAMPLES = 192
-
-
-class _Views:
-    """From which directions the marking is hidden, and how large their share is at each tilt of the axis."""
-
-    def __init__(self, model: MixtureNetwork, body: Body) -> None:
-        self._hides, self._axis = model.hides_on_cpu(), body.axis
-        tilts = torch.linspace(0.0, np.pi, _TILTS)
-        turns = torch.arange(_TURNS) * (2.0 * np.pi / _TURNS)
-        across, also = torch.linalg.svd(body.axis[None])[2][1:]
-        directions = tilts.cos()[:, None, None] * body.axis + tilts.sin()[:, None, None] * (
-            turns.cos()[:, None] * across + turns.sin()[:, None] * also
-        )
-        share = torch.sigmoid(self._hides(directions)).mean(1)
-        self._log_share = (share if body.is_directed else 0.5 * (share + share.flip(0))).log()
-
-    def logit(self, R: Tensor) -> Tensor:
-        """Return logits (n,) that the marking is hidden at rotations (n, 3, 3)."""
-        return self._hides(R[:, 2])
-
-    def log_relative(self, R: Tensor) -> Tensor:
-        """Return ln of h(R) over its mean over the body's group (n,)."""
-        tilt = torch.acos((R[:, 2] @ self._axis).clamp(-1.0, 1.0)) * ((_TILTS - 1) / np.pi)
-        return torch.nn.functional.logsigmoid(self.logit(R)) - self._log_share[tilt.round().long()]
 
 
 def _frame(told: AxisMixture, body: Body) -> Tensor:
@@ -376,8 +329,8 @@ class Densities:
         self._model, self._structure, self._body, self._calibration = model, structure, body.cpu(), calibration
 
     @cached_property
-    def _views(self) -> "_Views":
-        return _Views(self._model, self._body)
+    def _views(self) -> MarkingViews:
+        return MarkingViews(self._model, self._body)
 
     def of_image(self, told: Told, seed: int) -> ImageDensity:
         """Return the density of one image.

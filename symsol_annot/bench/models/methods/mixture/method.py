@@ -11,8 +11,9 @@ import torch
 from symsol_annot.bench.models.batches import decode_images
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.methods.mixture.body import body_for
+from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT, Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import Densities, ImageDensity, grid_of
+from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, Densities, ImageDensity
 from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
 from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP, MARKED_CIRCLE, MixtureRecipe
 from symsol_annot.bench.models.networks.answers import embeddings_of
@@ -22,7 +23,6 @@ from symsol_annot.bench.predictions.writing.submission import write_classifier, 
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 
-_DENSITY_FLOOR = 1e-9  # of a cell's probability: a file of 5,000 images stays small
 _AT_ONCE, _BLOCK = 256, 512  # images embedded, decoded
 _LEAST_CLAIM = -30.0  # of the logits of grid rotations that are not looked at
 
@@ -80,7 +80,7 @@ class MixtureMethod:
                 dataset,
                 cells,
                 method=by,
-                floor=_DENSITY_FLOOR,
+                floor=LEAST_CELL,
                 resume=resume,
                 level=asked.level,
                 batch_size=len(grid),
