@@ -94,6 +94,13 @@ class PoseMixture:
         covariance = torch.cholesky_inverse(self.roots) + deviation_rad**2 * torch.eye(3, device=self.roots.device)
         return replace(self, roots=torch.linalg.cholesky(torch.linalg.inv(covariance)))
 
+    def only(self, components: Tensor) -> "PoseMixture":
+        """Return the share of some components (k,), by their indices: not the whole of a density."""
+        log_weights = torch.cat(
+            [self.log_weights[:, components], torch.full_like(self.log_weights[:, :1], -math.inf)], 1
+        )
+        return PoseMixture(self.centres[:, components], self.roots[:, components], log_weights)
+
     def spread_over(self, group: Tensor) -> "PoseMixture":
         """Return the mixtures that are the same at R and R g, for g of a group (G, 3, 3): of G M components.
 

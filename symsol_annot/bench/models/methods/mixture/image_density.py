@@ -91,8 +91,14 @@ class PoseDensity(ImageDensity):
         blurred = self.mixture.blurred(grid.blur_rad)
         least = float(blurred.log_weights[0, -1])
         log_p = torch.full((len(grid),), least)
-        near = _above(blurred, max(least - 2.0, float(np.log(LEAST_CELL * len(grid)))), grid)
-        log_p[near] = blurred.log_density(grid.rotations[near])[0]
+        kept, reach = _reach(blurred, max(least - 2.0, float(np.log(LEAST_CELL * len(grid)))))
+        is_broad = reach > _EVERYWHERE_RAD
+        if is_broad.any():
+            log_p = torch.logaddexp(log_p, blurred.only(kept[is_broad]).log_density(grid.rotations)[0])
+        if not is_broad.all():
+            narrow = blurred.only(kept[~is_broad])
+            near = grid.index.within(narrow.centres[0].double().numpy(), reach[~is_broad].numpy())
+            log_p[near] = torch.logaddexp(log_p[near], narrow.log_density(grid.rotations[near])[0])
         return log_p
 
     def hypotheses(self) -> npt.NDArray[np.float64]:
@@ -106,18 +112,23 @@ class PoseDensity(ImageDensity):
 CLAIMED_FROM = float(np.log(4.0) + np.log(9.0))  # below, a claim is under the floor of 0.1 of what a file lists
 
 
-def _above(mixture: PoseMixture, log_p: float, grid: Grid) -> Indices:
-    """Return the indices of grid rotations at which a mixture may be above a level, and of some others."""
+def _reach(mixture: PoseMixture, log_p: float) -> tuple[Tensor, Tensor]:
+    """Return which components (k,) may lift a mixture above a level, and within which angles (k,) f8, in rad."""
     peaks = mixture.log_peaks[0]
     excess = peaks + float(np.log(len(peaks))) - log_p  # each may be one of M equals
-    kept = excess > 0
-    if not kept.any():
-        return np.zeros(0, dtype=np.int64)
+    kept = torch.nonzero(excess > 0)[:, 0]
     least = torch.linalg.svdvals(mixture.roots[0, kept])[:, -1]
-    reach = (_SLACK * torch.sqrt(2.0 * excess[kept]) / least).double().numpy()
-    if reach.max() > _EVERYWHERE_RAD:
+    return kept, (_SLACK * torch.sqrt(2.0 * excess[kept]) / least).double()
+
+
+def _above(mixture: PoseMixture, log_p: float, grid: Grid) -> Indices:
+    """Return the indices of grid rotations at which a mixture may be above a level, and of some others."""
+    kept, reach = _reach(mixture, log_p)
+    if len(kept) == 0:
+        return np.zeros(0, dtype=np.int64)
+    if float(reach.max()) > _EVERYWHERE_RAD:
         return np.arange(len(grid))
-    return grid.index.within(mixture.centres[0, kept].double().numpy(), reach)
+    return grid.index.within(mixture.centres[0, kept].double().numpy(), reach.numpy())
 
 
 class CircleDensity(ImageDensity):
