@@ -29,7 +29,19 @@ _EXAMPLE = example(
 
 _COMMANDS = (
     *("compare", "completion", "doctor", "gallery", "import-symsol", "info", "leaderboard", "objects", "plot"),
-    *("predict", "publish", "queries", "reference", "render", "score", "seal", "train", "validate", "verify"),
+    *(
+        "predict",
+        "publish",
+        "queries",
+        "reference",
+        "render",
+        "score",
+        "seal",
+        "symmetries",
+        "train",
+        "validate",
+        "verify",
+    ),
 )
 
 
