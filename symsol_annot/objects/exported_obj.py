@@ -127,6 +127,8 @@ class ExportedObj:
 
 def _ears(flat: npt.NDArray[np.float64], fault: Callable[[str], ObjectError]) -> list[tuple[int, int, int]]:
     """Return the triangles of a simple polygon (n, 2), counter-clockwise."""
+    if _crosses_itself(flat):
+        raise fault("this face crosses itself, so it has no inside; divide it")
     left = list(range(len(flat)))
     triangles = []
     while len(left) > 3:
@@ -143,6 +145,20 @@ def _ears(flat: npt.NDArray[np.float64], fault: Callable[[str], ObjectError]) ->
             del left[straight[0]]
     a, b, c = left
     return [*triangles, (a, b, c)]
+
+
+def _crosses_itself(flat: npt.NDArray[np.float64]) -> bool:
+    """Tell whether two edges of a polygon (n, 2) cross, other than at their ends."""
+    start, end = flat, np.roll(flat, -1, axis=0)
+    edge = end - start
+
+    def sides(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return on which side of each edge (row) points (column) are."""
+        to = points[None] - start[:, None]
+        return np.asarray(np.sign(edge[:, None, 0] * to[..., 1] - edge[:, None, 1] * to[..., 0]))
+
+    apart = sides(start) * sides(end) < 0
+    return bool((apart & apart.T).any())
 
 
 def _turn(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64], c: npt.NDArray[np.float64]) -> float:
