@@ -15,6 +15,7 @@ from symsol_annot.system.text.toml import shown
 
 _DEFAULT_MATERIAL = "default"
 _FEWEST_OF_WEIGHTED = 4
+_CROSSED = "this face crosses itself, so it has no inside; divide it"
 
 
 class ExportedObj:
@@ -118,6 +119,8 @@ class ExportedObj:
         normal = np.cross(points - points[0], following - points[0]).sum(axis=0)
         length = float(np.linalg.norm(normal))
         if length == 0:
+            if np.linalg.matrix_rank(points - points[0]) > 1:
+                raise self._fault(_CROSSED)
             return []
         normal /= length
         across = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
@@ -128,7 +131,7 @@ class ExportedObj:
 def _ears(flat: npt.NDArray[np.float64], fault: Callable[[str], ObjectError]) -> list[tuple[int, int, int]]:
     """Return the triangles of a simple polygon (n, 2), counter-clockwise."""
     if _crosses_itself(flat):
-        raise fault("this face crosses itself, so it has no inside; divide it")
+        raise fault(_CROSSED)
     left = list(range(len(flat)))
     triangles = []
     while len(left) > 3:
@@ -141,7 +144,7 @@ def _ears(flat: npt.NDArray[np.float64], fault: Callable[[str], ObjectError]) ->
         else:
             straight = [p for p in range(len(left)) if _is_straight(flat, left, p)]
             if not straight:
-                raise fault("this face crosses itself, so it has no inside; divide it")
+                raise fault(_CROSSED)
             del left[straight[0]]
     a, b, c = left
     return [*triangles, (a, b, c)]

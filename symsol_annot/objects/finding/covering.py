@@ -26,6 +26,7 @@ _EXACT, _INEXACT = 1 / 64, 1 / 3  # margins, as parts of the tolerance
 _TRIES = ((_EXACT, 8), (_EXACT, 48), (_INEXACT, 48))  # margins, and how many neighbours of a piece are looked at
 _MARGIN_LEFT = 0.999_999  # of a triangle's area that must be covered; what lacks of it is in the bound
 _ALL_PAIRS, _PAIRS_AT_ONCE = 4_000_000, 2**21  # of triangles: more are looked up in a tree
+_FEW = 10_000  # triangles: where there are more, any bound within the tolerance will do
 _TIGHT = 1 / 64  # of the tolerance: a bound within it needs no better one
 
 
@@ -59,7 +60,8 @@ class Covering:
         bounds = np.max(to_one, axis=0)
         bounds[bounds > limit] = np.inf
         for margin, neighbours in _TRIES:
-            left = np.flatnonzero(bounds > _TIGHT * limit if margin == _TRIES[0][0] else ~np.isfinite(bounds))
+            is_better = (margin, neighbours) == _TRIES[0] and len(bounds) <= _FEW
+            left = np.flatnonzero(bounds > _TIGHT * limit if is_better else ~np.isfinite(bounds))
             if len(left):
                 turned = corners[left], self._normals[left] @ R.T
                 bounds[left] = np.minimum(bounds[left], self._covered(left, *turned, margin * limit, neighbours))

@@ -16,6 +16,7 @@ from symsol_annot.objects.finding.found import (
     CertifiedGroup,
     Group,
     LargerGroup,
+    Roundness,
 )
 from symsol_annot.objects.finding.kinds import frame_about
 from symsol_annot.objects.finding.revolution import Revolution, revolutions
@@ -29,18 +30,23 @@ _CAMERAS = 400
 _LEAST_LEFT = 0.5  # of the area: what is less does not dominate
 
 
-def larger_groups(surface: Surface, shape: CertifiedGroup, tolerance: float) -> tuple[LargerGroup, ...]:
+def larger_groups(
+    surface: Surface, shape: CertifiedGroup, nearly: Roundness | None, tolerance: float
+) -> tuple[LargerGroup, ...]:
     """Return the larger groups of what is left without some faces, those that leave most first.
 
     Args:
         surface: with its parts.
         shape: its group, whatever the parts.
+        nearly: what it nearly is as it is; groups in it are not larger.
         tolerance: of a symmetry, in radii.
     """
     found = [_of_rest(surface, taken, what, shape, tolerance) for taken, what in _sets(surface)]
-    if not any(one is not None and one.group.is_continuous for one in found):
+    is_known = nearly is not None or any(one is not None and one.group.is_continuous for one in found)
+    if not is_known:
         found.append(_off_revolution(surface, shape, tolerance))
-    larger = sorted((one for one in found if one is not None), key=lambda one: -one.area_left)
+    new = [one for one in found if one is not None and not (nearly is not None and nearly.group.contains(one.group))]
+    larger = sorted(new, key=lambda one: -one.area_left)
     distinct: list[LargerGroup] = []
     for one in larger:
         if not any(_holds(other, one) for other in distinct):

@@ -12,7 +12,7 @@ from symsol_annot.rotations.so3 import Rotations, rotations_about
 MOST_OFF_ROUND = 0.02  # of the radius: what is farther off is not called round
 _GENERIC_TURNS = np.array([0.1234, 0.7071, 1.1, 1.9, 2.357, 3.3, 4.04, 5.5])  # rad, not parts of a full turn
 _EQUAL = 0.02  # relative difference of two principal moments that an axis of revolution makes equal
-_POINTS, _FEW = 600, 16
+_POINTS, _FEW = 240, 16
 
 
 def roundness(surface: Surface, group: Group) -> Roundness | None:
@@ -54,7 +54,7 @@ def _deviation(distance: SurfaceDistance, points: Points, turns: Rotations) -> f
     farthest = 0.0
     for chosen in (points[:_FEW], points):
         turned = (chosen @ np.swapaxes(turns, -1, -2)).reshape(-1, 3)
-        farthest = float(distance(turned, MOST_OFF_ROUND, 1e-7).max())
+        farthest = float(distance(turned, MOST_OFF_ROUND, 1e-6).max())
         if farthest > MOST_OFF_ROUND:
             break
     return farthest

@@ -38,7 +38,7 @@ def find_symmetries(
     if nearly is not None and round_within is not None and nearly.deviation <= round_within:
         shape = _as_round(shape, nearly)
     parts, of_object = _parts(placed, shape.group, max(tolerance, shape.residual))
-    larger = larger_groups(surface, shape, tolerance) if looks_for_larger else ()
+    larger = larger_groups(surface, shape, nearly, tolerance) if looks_for_larger else ()
     missing = NOT_LOOKED_FOR if looks_for_larger else ("larger groups of what is left without some faces",)
     return Symmetries(shape, of_object, parts, nearly, larger, radius, tolerance, missing)
 
