@@ -78,7 +78,8 @@ def _nearest_failed(candidates: Candidates, result: SearchResult, verifier: Veri
     order = np.argsort(at_least)[:_NEAREST_FAILED]
     if not len(order):
         return None
-    measured = [verifier.residual(R) for R in rotations[order]]
+    known = np.concatenate([result.refuted_by, np.zeros(len(candidates.refuted))])[is_other]  # corners are no points
+    measured = [max(verifier.residual(rotations[index]), float(known[index])) for index in order]
     best = int(np.argmin(measured))
     angle, axis = angles_and_axes(rotations[order[best]][None])
     x, y, z = axis[0].tolist()
