@@ -1,0 +1,96 @@
+"""`symsol-annot symmetries`: find the symmetries of a mesh."""
+
+import json
+from pathlib import Path
+
+import click
+from symsol_annot_cli.parameters import example
+from symsol_annot_cli.terminal import say
+
+from symsol_annot.errors import ObjectError
+from symsol_annot.system.files import write_atomically
+
+_DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while to import
+
+
+@click.command(
+    epilog=example(
+        "symsol-annot symmetries part.stl", "symsol-annot symmetries part.obj --write part --bop models_info.json"
+    )
+)
+@click.argument("mesh")
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(1e-9, 0.05),
+    default=_DEFAULT_TOLERANCE,
+    show_default=True,
+    help="How far a symmetry may carry a point from the surface, as a part of the mesh's radius.",
+)
+@click.option(
+    "--round-within",
+    type=click.FloatRange(0, 0.02),
+    help="Take facets for round where they are no farther from it than this part of the radius.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--write", "folder", type=click.Path(path_type=Path), help="Write the object into this new folder.")
+@click.option(
+    "--bop", type=click.Path(path_type=Path), help="Write the symmetries as BOP has them in models_info.json."
+)
+@click.option(
+    "--id", "number", type=click.IntRange(1), default=1, show_default=True, help="Of the model, in --bop's file."
+)
+def symmetries(
+    mesh: str,
+    tolerance: float,
+    round_within: float | None,
+    folder: Path | None,
+    bop: Path | None,
+    number: int,
+    *,
+    as_json: bool,
+) -> None:
+    """Find the rotations that map a mesh onto itself, and those of what is left without some of its faces.
+
+    MESH is a file (OBJ, STL, PLY, OFF, GLB), an object's folder, or the name of a built-in object. Lengths are printed
+    as parts of its radius, which is measured from its group's fixed point.
+    """
+    from symsol_annot.objects.finding.record import bop_model_info, symmetries_to_json  # noqa: PLC0415 - takes scipy
+    from symsol_annot.objects.finding.symmetries import find_symmetries  # noqa: PLC0415
+    from symsol_annot.objects.reading import read_any_surface  # noqa: PLC0415
+
+    surface = read_any_surface(mesh)
+    found = find_symmetries(surface, tolerance, round_within=round_within)
+    if as_json:
+        say(json.dumps(symmetries_to_json(found), indent=2))
+    else:
+        from symsol_annot.objects.finding.report import report_lines  # noqa: PLC0415
+
+        say("\n".join(report_lines(found)))
+    if folder is not None:
+        from symsol_annot.objects.object_writing import write_object  # noqa: PLC0415
+
+        spec = write_object(folder, _object_name(folder), f"made from {Path(mesh).name}", surface, found)
+        say(f"wrote {folder}: object.toml and mesh.obj of {spec.name!r}", err=as_json)
+    if bop is not None:
+        entries = _entries_of(bop)
+        entries[str(number)] = bop_model_info(surface, found)
+        write_atomically(bop, (json.dumps(entries, indent=2) + "\n").encode())
+        say(f"wrote {bop}: model {number}", err=as_json)
+
+
+def _object_name(folder: Path) -> str:
+    name = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "-" for c in folder.resolve().name)
+    return name.lstrip("_-")[:64] or "object"
+
+
+def _entries_of(path: Path) -> dict[str, object]:
+    """Return what a models_info.json holds already; nothing where there is none."""
+    if not path.exists():
+        return {}
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        entries = None
+    if not isinstance(entries, dict):
+        raise ObjectError(f"{path}: is no models_info.json, so nothing was written; give another file with --bop")
+    return entries
