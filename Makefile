@@ -75,7 +75,7 @@ clean:
 $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt \
-		--editable '.[render,plot,publish,gallery,bench,tensorboard,cluster,docs,dev]' --config-settings editable_mode=strict
+		--editable '.[render,plot,publish,gallery,mesh,bench,tensorboard,cluster,docs,dev]' --config-settings editable_mode=strict
 	$(BIN)/symsol-annot doctor --install
 	$(BIN)/python tools/gallery_browser.py
 	rm -f $(VENV)/installed-*
