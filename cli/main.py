@@ -28,8 +28,9 @@ _EXAMPLE = example(
 
 
 _COMMANDS = (
-    *("compare", "completion", "doctor", "gallery", "import-symsol", "info", "leaderboard", "objects", "plot"),
-    *("predict", "publish", "queries", "reference", "render", "retrieve", "score", "seal", "train", "validate"),
+    *("compare", "completion", "doctor", "export-bop", "gallery", "import-bop-results", "import-symsol", "info"),
+    *("leaderboard", "objects", "plot", "predict", "publish", "queries", "reference", "render", "retrieve", "score"),
+    *("seal", "train", "validate"),
     "verify",
 )
 
