@@ -20,6 +20,20 @@ def plan_behind(folder: Path, manifest: Manifest, given: ObjectSpec | None = Non
         DataError: the set was imported or is sealed, or its object is not built in and was not given, or is another
             one here.
     """
+    return SetPlan.behind(manifest, object_behind(folder, manifest, given))
+
+
+def object_behind(folder: Path, manifest: Manifest, given: ObjectSpec | None = None) -> ObjectSpec:
+    """Return the object that a set was made from.
+
+    Args:
+        folder: the set's, for messages.
+        manifest: the set's.
+        given: the object, where it is not built in.
+
+    Raises:
+        DataError: as `plan_behind`.
+    """
     if manifest.is_imported:
         raise DataError(
             f"{folder}: was imported, so it cannot be drawn again; `symsol-annot import-symsol` makes it anew"
@@ -38,4 +52,4 @@ def plan_behind(folder: Path, manifest: Manifest, given: ObjectSpec | None = Non
             f"{folder}: was made from another {name} than the one here (their digests differ); "
             "give the object's folder with --object"
         )
-    return SetPlan.behind(manifest, spec)
+    return spec

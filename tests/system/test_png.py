@@ -14,10 +14,11 @@ from symsol_annot.system.png import to_png
 
 RGB = (np.arange(8 * 6 * 3) * 7 % 256).astype(np.uint8).reshape(8, 6, 3)
 IDS = (np.arange(8 * 6) % 3).astype(np.uint8).reshape(8, 6)
+DEEP = (np.arange(8 * 6) * 1361 % 65536).astype(np.uint16).reshape(8, 6)
 PALETTE = np.array([[255, 255, 255], [10, 20, 30], [200, 100, 0]], dtype=np.uint8)
 
 
-@pytest.mark.parametrize("pixels", [RGB, IDS], ids=["rgb", "grey"])
+@pytest.mark.parametrize("pixels", [RGB, IDS, DEEP], ids=["rgb", "grey", "16 bits"])
 def test_every_value_is_kept(pixels):
     with Image.open(io.BytesIO(to_png(pixels))) as picture:
         np.testing.assert_array_equal(np.asarray(picture), pixels)
