@@ -32,7 +32,16 @@ _EXAMPLE = example(
 _GROUPS = {
     "Make a set": ("render", "import-symsol", "objects", "symmetries", "doctor"),
     "Look at it": ("info", "verify", "plot", "gallery", "view"),
-    "Score a method": ("convert", "import-bop-results", "validate", "score", "compare", "queries", "reference", "leaderboard"),
+    "Score a method": (
+        "convert",
+        "import-bop-results",
+        "validate",
+        "score",
+        "compare",
+        "queries",
+        "reference",
+        "leaderboard",
+    ),
     "Run a reference model": ("train", "predict", "retrieve"),
     "Publish": ("publish", "export-bop", "seal"),
     "Set up the shell": ("completion",),
