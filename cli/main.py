@@ -28,7 +28,7 @@ _EXAMPLE = example(
 
 
 _COMMANDS = (
-    *("compare", "completion", "doctor", "gallery", "import-symsol", "info", "leaderboard", "objects", "plot"),
+    *("compare", "completion", "doctor", "fetch", "gallery", "import-symsol", "info", "leaderboard", "objects", "plot"),
     *("predict", "publish", "queries", "reference", "render", "retrieve", "score", "seal", "train", "validate"),
     "verify",
 )
