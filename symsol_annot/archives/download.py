@@ -11,11 +11,11 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from http.client import HTTPException, HTTPResponse
+from http.client import HTTPResponse
 from io import RawIOBase
 from pathlib import Path
 
-from symsol_annot.archives.hosts import NOT_THAT_RANGE, PARTIAL, in_a_line, opened_url, unreachable
+from symsol_annot.archives.hosts import NOT_THAT_RANGE, PARTIAL, READING_ERRORS, in_a_line, opened_url, unreachable
 from symsol_annot.errors import DataError, DownloadError, OutputError, output_errors
 from symsol_annot.system.files import write_atomically
 from symsol_annot.system.reading import read_text
@@ -26,7 +26,7 @@ _MADE_BY = "symsol-annot fetch"
 _MOST_BYTES = 2**40  # of an archive, from a host that does not say how long it is
 _NOTE_BYTES = 2**16
 _BLOCK_BYTES = 2**18
-_RANGE = re.compile(r"bytes (\d+)-\d+/(\d+)")
+_RANGE = re.compile(r"bytes (\d{1,15})-\d{1,15}/(\d{1,15})", re.ASCII)
 _STRONG_ETAG = re.compile(r'"[!#-~]{1,200}"')
 _DATE = re.compile(r"[A-Za-z0-9,: +-]{1,60}")
 _NEW_FILE = os.O_CREAT | os.O_WRONLY | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
@@ -182,7 +182,7 @@ class Download:
     def _next_block(self, response: HTTPResponse, have: int, total: int | None) -> bytes:
         try:
             return response.read1(_BLOCK_BYTES)
-        except (OSError, HTTPException) as error:
+        except READING_ERRORS as error:
             raise self._broken_off(have, total, in_a_line(error)) from None
 
     def _broken_off(self, have: int, total: int | None, reason: str) -> DownloadError:
@@ -209,7 +209,7 @@ def _read_note(path: Path) -> _Note | None:
 
 def _length(response: HTTPResponse) -> int | None:
     stated = response.headers.get("Content-Length", "")
-    return int(stated) if stated.isascii() and stated.isdecimal() else None
+    return int(stated) if re.fullmatch(r"\d{1,15}", stated, re.ASCII) else None
 
 
 def _validator(response: HTTPResponse) -> str | None:

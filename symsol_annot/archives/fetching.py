@@ -12,7 +12,7 @@ from urllib.request import url2pathname
 from symsol_annot.archives.archive import ARCHIVE_ENDING, archive_sha256, is_set_name, read_archive
 from symsol_annot.archives.digest_files import DIGEST_ENDING, MAX_DIGEST_BYTES, checked_digest, digest_in
 from symsol_annot.archives.download import Download, download_folder
-from symsol_annot.archives.hosts import opened_url
+from symsol_annot.archives.hosts import read_url
 from symsol_annot.errors import DataError, DownloadError, OutputError, SettingsError, output_errors
 from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.system.files import new_folder
@@ -163,8 +163,7 @@ def _file_beside(source: _Source) -> tuple[str, bytes | None]:
     parts = urlsplit(source.url)
     url = urlunsplit(parts._replace(path=parts.path + DIGEST_ENDING))
     try:
-        with opened_url(url) as response:
-            return url, response.read(MAX_DIGEST_BYTES)
+        return url, read_url(url, MAX_DIGEST_BYTES)
     except DownloadError as error:
         if error.status is None or not _NOT_FOUND <= error.status < _SERVER_ERROR:
             raise

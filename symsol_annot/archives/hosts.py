@@ -13,6 +13,7 @@ from symsol_annot.errors import DownloadError
 
 NOT_THAT_RANGE = 416
 PARTIAL = 206
+READING_ERRORS = (OSError, HTTPException, ValueError)  # of a connection that is lost, or speaks no http
 _TIMEOUT_S = 60.0  # without a byte
 _REFUSED = {
     401: "the host wants a permission that this command has not",
@@ -46,10 +47,23 @@ def opened_url(url: str, headers: Mapping[str, str] | None = None) -> Iterator[H
         raise DownloadError(f"{url}: {_refusal(error)}", status=error.code) from None
     except URLError as error:
         raise unreachable(url, error.reason) from None
-    except (OSError, HTTPException, ValueError) as error:  # ValueError: an address that is none
+    except READING_ERRORS as error:  # ValueError: an address that is none
         raise unreachable(url, error) from None
     with response:
         yield response
+
+
+def read_url(url: str, limit: int) -> bytes:
+    """Return the first bytes of a small file of a host, at most `limit`.
+
+    Raises:
+        DownloadError: as `opened_url`, or the connection was lost.
+    """
+    with opened_url(url) as response:
+        try:
+            return response.read(limit)
+        except READING_ERRORS as error:
+            raise unreachable(url, error) from None
 
 
 def unreachable(url: str, reason: object) -> DownloadError:

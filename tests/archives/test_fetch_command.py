@@ -85,7 +85,22 @@ def test_a_redirect_loop_and_a_redirect_to_a_file_are_refused(here, host, tmp_pa
     assert not (tmp_path / "data").exists()
 
 
-@pytest.mark.parametrize("answer", [b"", b"hello\r\n\r\n", b"HTTP/1.1 200 OK\r\nContent-Length: x\r\n\r\nhello"])
+OK = b"HTTP/1.1 200 OK\r\n"
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"",
+        b"hello\r\n\r\n",
+        OK + b"Content-Length: x\r\n\r\nhello",
+        OK + b"Content-Length: " + b"9" * 5000 + b"\r\n\r\nhello",
+        OK + b"Transfer-Encoding: chunked\r\n\r\nzz\r\nhello",
+        OK + b"Transfer-Encoding: chunked\r\n\r\n9\r\nhello",
+        OK + b"Content-Range: bytes 0-" + b"9" * 5000 + b"/" + b"9" * 5000 + b"\r\n\r\nhello",
+    ],
+    ids=lambda answer: str(answer[:60]),
+)
 def test_a_host_that_speaks_no_http_is_one_message(here, tmp_path, monkeypatch, answer):
     monkeypatch.setenv("no_proxy", "*")
     with socket.create_server(("127.0.0.1", 0)) as server:

@@ -95,13 +95,23 @@ def test_without_a_digest_and_a_tag_a_download_begins_anew(packed_set, host, tmp
     assert host.of(PATH) == [(None, 200), (None, 200)]
 
 
-@pytest.mark.parametrize("validators", [TAGS, DATES, NOTHING])
-def test_an_archive_that_changed_meanwhile_is_not_put_together_from_two(packed_set, host, tmp_path, validators):
-    """Of the same length, or of another."""
+@pytest.mark.parametrize(("validators", "longer"), [(TAGS, 0), (DATES, 0), (TAGS, 20_480), (NOTHING, 20_480)])
+def test_an_archive_that_changed_meanwhile_is_not_put_together_from_two(packed_set, host, tmp_path, validators, longer):
     host.validators, whole = validators, host.files[PATH]
-    host.files[PATH] = bytes(len(whole) + 20_480)
+    host.files[PATH] = bytes(len(whole) + longer)
     break_off(host, tmp_path, len(whole) // 2)
     host.files[PATH] = whole
+    assert_in_place(fetch(f"{host.url}/tetX.tar", tmp_path), tmp_path, packed_set)
+
+
+def test_one_that_nothing_tells_apart_fails_by_its_digest_and_the_next_run_begins_anew(packed_set, host, tmp_path):
+    host.validators, whole = NOTHING, host.files[PATH]
+    host.files[PATH] = bytes(len(whole))
+    break_off(host, tmp_path, len(whole) // 2)
+    host.files[PATH] = whole
+    with pytest.raises(DataError, match=r"expected SHA-256 .*Fetch it again"):
+        fetch(f"{host.url}/tetX.tar", tmp_path)
+    assert list(tmp_path.iterdir()) == []
     assert_in_place(fetch(f"{host.url}/tetX.tar", tmp_path), tmp_path, packed_set)
 
 
