@@ -201,7 +201,7 @@ FAULTS = {
     ),
     "a path that leads outside not looked for": (
         "symsol_annot/archives/archive.py",
-        'if header.name.startswith("/") or ".." in re.split(r"[/\\]", header.name):',
+        r'if header.name.startswith("/") or ".." in re.split(r"[/\\]", header.name):',
         "if not header.name:",
         "archives/test_archive.py::test_an_archive_with_something_that_no_set_has_is_refused_and_nothing_is_written",
     ),
