@@ -7,7 +7,7 @@ TEST_WORKERS ?= 2
 SOURCES := $(sort $(wildcard $(shell find symsol_annot cli -name '*.py') blender_assets/*.py blender_assets/*/* symsol_annot/sample_data/*/* symsol_annot/bench/models/recipes/* symsol_annot/gallery/page/* symsol_annot/publish/card.md symsol_annot/publish/citation.cff))
 INSTALLED := $(VENV)/installed-$(word 1,$(shell echo $(SOURCES) | cksum))
 
-.PHONY: demo test check lint docs format soak perf attack mutate card assets sample release clean
+.PHONY: demo test check lint docs format soak perf attack mutate card lock assets sample release clean
 
 demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of two objects, in data/
 	$(BIN)/symsol-annot render --object cylO --train 0 --test 64
@@ -49,6 +49,9 @@ mutate: $(INSTALLED)  ## change the code a little, many times, and name the chan
 
 card: $(INSTALLED)  ## write dataset_card.md again from the figures that were measured
 	$(BIN)/python tools/dataset_card.py write
+
+lock: $(INSTALLED)  ## pin what an installation with Blender brings, by version and hash, in constraints-render.txt
+	$(BIN)/python tools/lock_render.py
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix .

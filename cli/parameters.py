@@ -85,12 +85,22 @@ DATA = click.option(
 )
 
 
-def progress_bar(total: int | None, unit: str, done: int = 0) -> "tqdm[None]":
+def progress_bar(total: int | None, unit: str, done: int = 0, *, scaled: bool = False) -> "tqdm[None]":
     """Return a bar on standard error with the rate and the time left; it is silent where that is no terminal.
 
     Args:
         total: units of work; None where that is not known yet.
         unit: what is counted, in the singular.
         done: units that an earlier run finished, which do not count for the rate.
+        scaled: whether large counts are shown in thousands and millions, as those of bytes.
     """
-    return tqdm(total=total, initial=done, unit=unit, disable=None, file=sys.stderr, dynamic_ncols=True, smoothing=0.05)
+    return tqdm(
+        total=total,
+        initial=done,
+        unit=unit,
+        unit_scale=scaled,
+        disable=None,
+        file=sys.stderr,
+        dynamic_ncols=True,
+        smoothing=0.05,
+    )

@@ -19,10 +19,11 @@ from symsol_annot.system.machine import check_extra
 @click.option("--date", help="Date of publication, like 2026-01-31.")
 @click.option("--url", help="Address where the data will be.")
 def publish(folder: Path, out: Path, authors: tuple[str, ...], **texts: str | None) -> None:
-    """Make what a host needs: shards, checksums, a Parquet mirror, a dataset card, Croissant metadata, a citation.
+    """Make what a host needs: shards, archives, a Parquet mirror, a dataset card, Croissant metadata, a citation.
 
     DATA is a set like data/cylO, or a folder of sets like data. The sets are verified first. Shards are hard links
-    where the file system allows. Re-running the command resumes it, even after a crash.
+    where the file system allows. Each set is also packed into one archive, OUT/archives/NAME.tar, which `fetch`
+    puts in place elsewhere. Re-running the command resumes it, even after a crash.
     """
     check_extra("publish", "publishing")
     from symsol_annot.publish import publication  # noqa: PLC0415 - needs pyarrow
@@ -40,3 +41,5 @@ def publish(folder: Path, out: Path, authors: tuple[str, ...], **texts: str | No
     images = sum(entry.images for published in sets for entry in published.manifest.shards)
     say(f"{out}: {', '.join(published.name for published in sets)}: {shards} shards, {images} images")
     say(f"Next:\n  (cd {out} && sha256sum -c SHA256SUMS)\n  and read {out}/README.md, the dataset card")
+    archive = out / sets[0].archive_name
+    say(f"Where {archive} is to be had, this puts the set in place:\n  symsol-annot fetch {archive}")

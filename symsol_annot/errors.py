@@ -7,6 +7,7 @@
     ├── RotationError           an array that should hold rotations does not
     ├── DataError               a shard, a manifest or a folder of them is missing or damaged
     │   ├── DamageError             a chunk's bytes, or what HDF5 says of a file in its child process
+    │   ├── DownloadError           a file cannot be downloaded, or the download broke off
     │   ├── DifferentSetError   the output folder already holds another set
     │   ├── NotAnnotatedError   symmetry sets asked of a split that was rendered without
     │   └── SealError               a sealed test's secret is missing, damaged, or another test's
@@ -87,6 +88,18 @@ class DataError(SymsolError):
 
 class DamageError(DataError):
     """A chunk is damaged, or a file of which HDF5 says so in its child process; whoever reads the file names it."""
+
+
+class DownloadError(DataError):
+    """A file cannot be downloaded: no connection, a host that refuses it, or a download that broke off.
+
+    Attributes:
+        status: the number of the host's answer where it refused the file, like 404; else None.
+    """
+
+    def __init__(self, message: str, status: int | None = None) -> None:
+        super().__init__(message)
+        self.status = status
 
 
 class DifferentSetError(DataError):

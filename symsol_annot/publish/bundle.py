@@ -6,12 +6,12 @@ after an interruption what is this program's own and may be kept, and what is no
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from symsol_annot.errors import DataError, OutputError, first_of, output_errors
 from symsol_annot.system.checksums import changed_in, is_hidden, is_system_note, names_in, read_list, to_list
-from symsol_annot.system.files import make_folder, write_atomically
+from symsol_annot.system.files import make_folder, replaced, write_atomically
 from symsol_annot.system.reading import file_sha256
 from symsol_annot.system.scratch import sweep
 
@@ -44,6 +44,29 @@ class Bundle:
         """
         if self._announce(name, hashlib.sha256(data).hexdigest()):
             write_atomically(self.folder / name, data)
+
+    def stream(self, name: str, blocks: Callable[[], Iterable[bytes]]) -> str:
+        """Write a file of any size, unless it is there with these bytes, and return its SHA-256.
+
+        Args:
+            name: of the file.
+            blocks: returns the file's bytes in blocks, the same ones each time; called twice.
+
+        Raises:
+            DataError: they were not the same.
+            OutputError: it cannot be written.
+        """
+        sha256 = _sha256_of(blocks())
+        if self._announce(name, sha256):
+            with replaced(self.folder / name) as new:
+                with new.open("xb") as file:
+                    for block in blocks():
+                        file.write(block)
+                    file.flush()
+                    os.fsync(file.fileno())
+                if file_sha256(new) != sha256:
+                    raise DataError(f"{self.folder / name}: its source was changed; run the same command again")
+        return sha256
 
     def link(self, name: str, source: Path, sha256: str) -> None:
         """Put a file of known bytes there, as a hard link where the file system can, else as a copy.
@@ -114,6 +137,13 @@ def open_bundle(folder: Path, expected: Mapping[str, str | None]) -> Bundle:
         changed = {name for name, digest in sha256.items() if (listed or {}).get(name) != digest}
         _refuse(folder, changed, "holds files that were changed since they were made")
     return Bundle(folder, sha256)
+
+
+def _sha256_of(blocks: Iterable[bytes]) -> str:
+    digest = hashlib.sha256()
+    for block in blocks:
+        digest.update(block)
+    return digest.hexdigest()
 
 
 def _read_checksums(folder: Path) -> dict[str, str] | None:

@@ -1,8 +1,10 @@
-"""Sets put into a bundle, in order: verified, linked, mirrored as Parquet, described."""
+"""Sets put into a bundle, in order: verified, linked, mirrored as Parquet, packed, described."""
 
 from collections.abc import Callable
 from pathlib import Path
 
+from symsol_annot.archives.archive import archive_blocks
+from symsol_annot.archives.digest_files import to_digest_line
 from symsol_annot.errors import DataError, bulleted
 from symsol_annot.publish.about import About
 from symsol_annot.publish.bundle import Bundle, open_bundle
@@ -47,6 +49,7 @@ def publish(
         _refuse_faults(sets, on_shard)
         for published in sets:
             _put_set(bundle, published, on_shard)
+            _put_archive(bundle, published)
         groups = {published.name: _group_of(published) for published in sets}
         parts = {published.name: published.manifest.settings.parts for published in sets}
         bundle.put(GROUPS_NAME, groups_to_parquet(groups, parts))
@@ -62,6 +65,7 @@ def _expected(sets: tuple[PublishedSet, ...]) -> dict[str, str | None]:
     """Return name to SHA-256 of each file of the bundle; None where it is still to be seen."""
     expected: dict[str, str | None] = dict.fromkeys((*CARD_NAMES, CITATION_NAME, CROISSANT_NAME, GROUPS_NAME))
     for published in sets:
+        expected |= dict.fromkeys((published.archive_name, published.digest_name))
         expected[published.manifest_name] = file_sha256(published.folder / MANIFEST_NAME)
         for entry in published.manifest.shards:
             expected[published.shard_name(entry)] = entry.sha256
@@ -90,6 +94,11 @@ def _put_set(bundle: Bundle, published: PublishedSet, on_shard: Callable[[], obj
                     samples = dataset[entry.first_index : entry.first_index + entry.images]
                     bundle.put(name, samples_to_parquet(samples, source))
                 on_shard()
+
+
+def _put_archive(bundle: Bundle, published: PublishedSet) -> None:
+    sha256 = bundle.stream(published.archive_name, lambda: archive_blocks(published.folder, published.name))
+    bundle.put(published.digest_name, to_digest_line(sha256, Path(published.archive_name).name))
 
 
 def _group_of(published: PublishedSet) -> Rotations:

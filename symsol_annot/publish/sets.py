@@ -1,9 +1,10 @@
 """Which sets a folder holds, and whether they may be published."""
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from symsol_annot.archives.archive import ARCHIVE_ENDING, MAX_NAME, is_set_name
+from symsol_annot.archives.digest_files import DIGEST_ENDING
 from symsol_annot.errors import DataError, bulleted
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.sets.manifest import MANIFEST_NAME, Manifest, ShardEntry, read_manifest
@@ -40,6 +41,16 @@ class PublishedSet:
         return f"parquet/{self.name}/{entry.file.removesuffix('.h5')}.parquet"
 
     @property
+    def archive_name(self) -> str:
+        """The name in the bundle of the archive with the whole set, which `symsol-annot fetch` puts in place."""
+        return f"archives/{self.name}{ARCHIVE_ENDING}"
+
+    @property
+    def digest_name(self) -> str:
+        """The name in the bundle of the file with the archive's SHA-256."""
+        return f"{self.archive_name}{DIGEST_ENDING}"
+
+    @property
     def manifest_name(self) -> str:
         """The name of the manifest in the bundle."""
         return f"data/{self.name}/{MANIFEST_NAME}"
@@ -68,8 +79,11 @@ def sets_in(folder: Path) -> tuple[PublishedSet, ...]:
 
 def _faults_of(found: PublishedSet) -> list[str]:
     faults = []
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", found.name):
-        faults.append(f"hosts want letters, digits, '_' and '-', found the folder's name {found.name!r}; rename it")
+    if not is_set_name(found.name):
+        faults.append(
+            f"hosts want letters, digits, '_' and '-', at most {MAX_NAME} of them, found the folder's name "
+            f"{found.name!r}; rename it"
+        )
     if found.name == GROUPS_CONFIG:
         faults.append(f"{GROUPS_CONFIG!r} is the name of something else in a bundle; rename the folder")
     if found.manifest.is_imported:

@@ -204,13 +204,27 @@ def read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST_NAME
     try:
         data = read_bytes(path, MAX_MANIFEST_BYTES)
-        document = json.loads(data)
     except FileNotFoundError:
         raise DataError(f"{folder}: holds no {MANIFEST_NAME}; {_hint(folder)}") from None
     except NotADirectoryError:
         raise DataError(f"{folder}: is a file; a set is a folder, like data/cylO") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    return manifest_from_bytes(data, str(path))
+
+
+def manifest_from_bytes(data: bytes, path: str) -> Manifest:
+    """Read a set's manifest from its bytes and check it against its own digest.
+
+    Args:
+        data: the file's bytes.
+        path: what the file is called, for messages.
+
+    Raises:
+        DataError: it is damaged, or of another format version.
+    """
+    try:
+        document = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: cannot be read as JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != MANIFEST_FORMAT:

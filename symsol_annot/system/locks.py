@@ -90,8 +90,8 @@ def held_folder(path: Path) -> Iterator[None]:
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    with contextlib.suppress(OSError):  # one holds something
-        for folder in folders:
+    for folder in folders:
+        with contextlib.suppress(OSError):  # it holds something
             folder.rmdir()
 
 

@@ -101,6 +101,7 @@ READERS = [
     ["verify"],
     ["plot", "images"],
     ["publish", "--out", "out"],
+    ["fetch", "--out", "out"],
     ["gallery", "--out", "out"],
     ["import-symsol"],
     ["leaderboard", "--out", "out.md"],

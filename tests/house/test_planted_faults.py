@@ -199,6 +199,24 @@ FAULTS = {
         "header = manifest.header(entry, {**shard.versions, 'drawn': str(shard.candidates_drawn)})",
         "sealing/test_images.py::test_other_labels_of_the_same_images_are_published_as_the_same_bytes",
     ),
+    "a path that leads outside not looked for": (
+        "symsol_annot/archives/archive.py",
+        r'if header.name.startswith("/") or ".." in re.split(r"[/\\]", header.name):',
+        "if not header.name:",
+        "archives/test_archive.py::test_an_archive_with_something_that_no_set_has_is_refused_and_nothing_is_written",
+    ),
+    "shards put in place without their digests": (
+        "symsol_annot/archives/archive.py",
+        "if found != entry.sha256:",
+        "if not found:",
+        "archives/test_archive.py::test_a_bit_that_flips_anywhere_is_found",
+    ),
+    "a download resumed whatever became of the file": (
+        "symsol_annot/archives/download.py",
+        'headers["If-Range"] = self._note.validator',
+        'headers["X-If-Range"] = self._note.validator',
+        "archives/test_fetching.py::test_an_archive_that_changed_meanwhile_is_not_put_together_from_two",
+    ),
     "labels of other images scored": (
         "symsol_annot/sealing/labels.py",
         "    refuse_other_images(sealed.manifest, sealed.folder, labelled.manifest, folder)\n",

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from bundles import assert_refused, assert_whole, snapshot
 
+from symsol_annot.archives.fetching import fetch
 from symsol_annot.errors import DataError
 from symsol_annot.publish import publication
 from symsol_annot.publish.about import About
@@ -113,3 +114,12 @@ def test_a_shard_that_changes_meanwhile_is_not_published(tetX_set, tmp_path):
     with pytest.raises(DataError, match=r"changed while it was published|no shard of this set"):
         publish(sets_in(tetX_set), tmp_path / "out", About(), change_after_verifying)
     assert not (tmp_path / "out" / "data" / "tetX" / shards[0].name).exists()
+
+
+def test_each_set_has_an_archive_that_its_digest_and_fetch_accept(bundle, data, tmp_path):
+    for name in ("cylO", "tet", "tetX"):
+        digest = f"{name}.tar.sha256"
+        subprocess.run(["sha256sum", "-c", "--strict", "--status", digest], cwd=bundle / "archives", check=True)
+        fetched = fetch(str(bundle / "archives" / f"{name}.tar"), tmp_path)
+        assert snapshot(fetched.folder) == snapshot(data / name)
+        assert f"{fetched.sha256}  archives/{name}.tar" in (bundle / "SHA256SUMS").read_text()

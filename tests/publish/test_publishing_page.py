@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_sets import run
+from bundles import snapshot
 
 import symsol_annot
 
@@ -19,11 +20,13 @@ def test_the_publishing_page_runs_word_for_word(data, tmp_path, monkeypatch, no_
     """All but installing and uploading."""
     page = (ROOT / "docs" / "publishing.md").read_text()
     (tmp_path / "data").symlink_to(data)
-    _, publishing, checking = re.findall(r"```sh\n(.*?)```", page, flags=re.DOTALL)[0].strip().splitlines()
+    first, fetching = re.findall(r"```sh\n(.*?)```", page, flags=re.DOTALL)
+    _, publishing, checking = first.strip().splitlines()
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
-    done = run("sh", "-c", f"{publishing} && {checking}", cwd=tmp_path)
+    done = run("sh", "-c", f"{publishing} && {checking} && {fetching}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "cylO, tet, tetX: 12 shards, 159 images" in done.stdout
+    assert snapshot(tmp_path / "elsewhere" / "cylO") == snapshot(data / "cylO")
     assert 'pretty_name: "Symmetric objects"' in (tmp_path / "bundle" / "README.md").read_text()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("datasets.config.HF_DATASETS_CACHE", tmp_path / "cache")
