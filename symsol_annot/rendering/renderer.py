@@ -7,13 +7,13 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.mesh import Mesh
+from symsol_annot.objects.mesh import BODY_ID, MARKING_ID, Mesh
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations
 
-BACKGROUND, BODY, MARKING = 0, 1, 2  # segmentation ids
+BACKGROUND, BODY, MARKING = 0, BODY_ID, MARKING_ID  # segmentation ids
 
 
 @dataclass(frozen=True, eq=False)

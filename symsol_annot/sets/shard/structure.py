@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.spec import MAX_GROUP_ORDER
+from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
+from symsol_annot.objects.parts import MAX_PARTS
 from symsol_annot.rendering.camera import SIZE_RANGE
 from symsol_annot.sets.shard.chunks import DEFLATE, FLETCHER32, Place, StoredArray, largest_chunk
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, SHARD_FORMAT
@@ -30,7 +31,6 @@ from symsol_annot.sets.shard.layout import (
 from symsol_annot.system.sandbox.hdf5_process import DatasetFacts, Description
 
 MAX_SYMMETRIES = 2 * MAX_GROUP_ORDER
-MAX_PARTS = 255  # their ids are bytes, and 0 is the background's
 _FILTERS = (DEFLATE, FLETCHER32)
 _IN_WORDS = {"text": "a string", "whole": "a whole number", "real": "a number", "array": "an array"}
 _SHOWN_CHARACTERS = 80
