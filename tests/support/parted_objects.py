@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 REACH = math.sqrt(1.0 - 0.08**2 - 0.25**2)  # so far a handle stands out that touches the unit sphere
 BOX = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]  # corners by bits x, y, z
 
@@ -90,3 +92,20 @@ def painted(*faces, facets=8):
     for face, material in faces:
         text.paint(face, material)
     return str(text)
+
+
+def drawn_set(spec, renderer, R_gt):
+    """Which candidates draw the image: whole pictures compared point by point, over each coset."""
+    ids, rgb = renderer.ids_and_rgb(R_gt)
+    breaking = np.array(spec.mesh.breaking)
+    member = np.zeros(len(spec.symmetry_group), bool)
+    for coset in spec.cosets:
+        worst = 0
+        for g in spec.symmetry_group[coset]:
+            other_ids, other_rgb = renderer.ids_and_rgb(R_gt @ g)
+            either = np.isin(ids, breaking) | np.isin(other_ids, breaking)
+            shade = np.abs(rgb.astype(int) - other_rgb.astype(int)).max(axis=-1)
+            worst = max(worst, np.count_nonzero(either & ((ids != other_ids) | (shade > 12))))
+        member[coset] = worst / 4 < spec.tolerance_px
+    member[spec.cosets[0]] = True
+    return member
