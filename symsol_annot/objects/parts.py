@@ -122,13 +122,15 @@ def breaking_parts(
     """Return which parts break the group (G, 3, 3) of the parts named `of`, and what leaves all of them in place.
 
     Raises:
-        ObjectError: a part has no faces, or the group carries one breaking part onto another of the same colour.
+        ObjectError: a part has no faces, or is closed and inside out, or the group carries one breaking part onto
+            another of the same colour.
     """
     for number, part in enumerate(parts):
         if not (mesh.part_ids == BODY_ID + number).any():
             raise toml.fault(
                 f"part.{number}.select.material", f"selects nothing: no face has the material {shown(part.material)}"
             )
+    _refuse_inside_out(toml, mesh, parts)
     others = [BODY_ID + number for number, part in enumerate(parts) if part.name not in of]
     kept = {part: stabiliser_of_part(mesh.triangles_of(part), group) for part in others}
     ids = tuple(part for part, mask in kept.items() if not mask.all())
@@ -137,6 +139,20 @@ def breaking_parts(
     for part in ids:
         stabiliser &= kept[part]
     return Breaking(ids, stabiliser)
+
+
+def _refuse_inside_out(toml: ObjectToml, mesh: Mesh, parts: tuple[Part, ...]) -> None:
+    """Refuse a part that is a closed surface of its own and faces inwards: nobody would see it."""
+    for number, part in enumerate(parts):
+        corners = mesh.triangles[mesh.part_ids == BODY_ID + number]
+        sides = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
+        is_closed = set(map(tuple, sides.tolist())) == set(map(tuple, sides[:, ::-1].tolist()))
+        a, b, c = np.moveaxis(mesh.vertices[corners], 1, 0)
+        if is_closed and float((a * np.cross(b, c)).sum()) <= 0:
+            raise toml.fault(
+                f"part.{number}.name",
+                f"the faces of {part.name!r} look inwards; wind them counter-clockwise seen from outside",
+            )
 
 
 def _refuse_look_alikes(

@@ -96,6 +96,14 @@ def test_a_part_without_faces_is_refused(fault_of):
     assert message == f"{path}, line 12: part.2.select.material: selects nothing: no face has the material 'lid'"
 
 
+def test_a_shell_that_is_inside_out_is_refused(fault_of):
+    lines = mug().splitlines()
+    start = lines.index("usemtl grip") + 1
+    turned = [" ".join(["f", *line.split()[:0:-1]]) for line in lines[start:]]
+    message, path = fault_of(TOML, "\n".join([*lines[:start], *turned]))
+    assert message.startswith(f"{path}, line 10: part.1.name: the faces of 'handle' look inwards")
+
+
 def test_faces_before_the_first_material_are_in_no_part(fault_of):
     mesh = mug().replace("usemtl clay\n", "", 1)
     message, _ = fault_of(TOML, mesh)
