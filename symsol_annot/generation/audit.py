@@ -20,6 +20,7 @@ from symsol_annot.rotations.so3 import Rotations, angle_between
 from symsol_annot.sets.dataset import Dataset, Sample
 from symsol_annot.sets.plan import SetPlan
 
+EDGE_AREA_PX = 1.0  # of breaking parts that another driver can draw otherwise, in pixels of the lattice's points
 EDGE_PIXELS = 8  # how many pixels two drawings of one view may differ in: vertices round to other sub-pixels
 RGB_LEVELS = 12  # how far a pixel must be off to count; a lattice point is worth a 16th to a quarter of the contrast
 DEPTH_RADII = 0.02  # how far a depth must be off to count, in bounding-sphere radii; what an edge decides, by far more
@@ -101,7 +102,9 @@ def _audit_image(sample: Sample, drawer: "_Drawer", rng: np.random.Generator, re
         report.within_tolerance += int(drawn.coset_px > 0 and not drawn.shows)
         if symmetry_set.is_member[index]:
             report.members += 1
-            found = [f"member {index} of its set: {what}" for what in _faults_of_member(stored, drawn, differing_px)]
+            found = [
+                f"member {index} of its set: {what}" for what in drawer.faults_of_member(stored, drawn, differing_px)
+            ]
         else:
             report.rejected += 1
             is_same = stored.draws_the_marking_of(drawn, differing_px, drawer.annotator.spec.tolerance_px)
@@ -167,6 +170,17 @@ class _Drawer:
         coset_px = self.annotator.shown_px(R_m2c, view)
         return self.drawing(view.rgb, view.segmentation, view.depth, coset_px)
 
+    def faults_of_member(self, stored: "_Drawing", drawn: "_Drawing", differing_px: float | None) -> list[str]:
+        """Say in what a member draws another image, given by how much it differs from it by the general rule."""
+        tolerance_px = self.annotator.spec.tolerance_px
+        if differing_px is None or tolerance_px is None:
+            return _faults_of_member(stored, drawn)
+        within_px = min(differing_px, tolerance_px)
+        faults = _faults_of_member(stored, drawn, within_px)
+        if differing_px >= tolerance_px + EDGE_AREA_PX:
+            faults.append(f"differs in {differing_px:g} pixels of the parts that break the symmetry")
+        return faults
+
     def drawing(
         self,
         rgb: npt.NDArray[np.uint8],
@@ -186,8 +200,8 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing, differing_px: float | N
     Args:
         stored: the image.
         drawn: the member's drawing.
-        differing_px: by how much they differ by the general rule, by which a part may show in one alone, a little; None
-            where another rule is the set's.
+        differing_px: by how much the general rule lets them differ, by which a part may show in one alone; None where
+            another rule is the set's.
     """
     faults = []
     if drawn.shows != stored.shows and differing_px is None:
