@@ -71,7 +71,7 @@ def _print_statistics(statistics: SplitStatistics, *, is_sealed: bool) -> None:
         shown = statistics.shown
         for name, count in statistics.parts_shown.items():
             say(f"  {name} shows in {count} of {images} ({100 * count / images:.1f}%)")
-        what = "a part that breaks the symmetry" if statistics.parts_shown else "marking"
+        what = "any of them" if statistics.parts_shown else "marking"
         say(f"  {what} shows in {shown} of {images} ({100 * shown / images:.1f}%)")
     if not statistics.is_annotated:
         why = ": they are sealed" if is_sealed else ": none are known" if statistics.is_imported else ""
