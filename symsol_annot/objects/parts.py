@@ -136,8 +136,8 @@ def breaking_parts(
     ids = tuple(part for part, mask in kept.items() if not mask.all())
     _refuse_look_alikes(toml, mesh, parts, ids, group)
     stabiliser = np.ones(len(group), dtype=bool)
-    for part in ids:
-        stabiliser &= kept[part]
+    for breaking in ids:
+        stabiliser &= kept[breaking]
     return Breaking(ids, stabiliser)
 
 

@@ -15,6 +15,7 @@ from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import rotations_about
 
 FOLDER = Path(__file__).parents[2] / "examples" / "mug"
+pytestmark = pytest.mark.blender
 CAMERA, SETTINGS = Camera.filling(64), RenderSettings()
 
 
