@@ -115,13 +115,23 @@ def _print_statistics(statistics: SplitStatistics, *, is_sealed: bool) -> None:
         return
     if statistics.has_marking:
         shown = statistics.shown
-        say(f"  marking shows in {shown} of {images} ({100 * shown / images:.1f}%)")
+        for name, count in statistics.parts_shown.items():
+            say(f"  {name} shows in {count} of {images} ({100 * count / images:.1f}%)")
+        what = "any of them" if statistics.parts_shown else "marking"
+        say(f"  {what} shows in {shown} of {images} ({100 * shown / images:.1f}%)")
     if not statistics.is_annotated:
         why = ": they are sealed" if is_sealed else ": none are known" if statistics.is_imported else ""
         say(f"  without symmetry sets{why}")
         return
     say(f"  |S|: {sizes_in_words(statistics.set_sizes)}")
-    if statistics.has_marking:
+    for names, sizes in sorted(statistics.sizes_by_parts.items()):
+        say(f"    where {' and '.join(names) or 'none of the parts'} shows: {sizes_in_words(sizes)}")
+    if statistics.parts_shown:
+        say(
+            f"  of {statistics.candidates_drawn} candidates, {statistics.candidates_within_tolerance} differ by less "
+            "than the tolerance"
+        )
+    elif statistics.has_marking:
         say(
             f"  of {statistics.candidates_drawn} candidates, {statistics.candidates_within_tolerance} show the marking "
             "by less than the tolerance"

@@ -7,7 +7,8 @@ at one of its rotations:
     R_gt H shows it:    S = { R_gt g : g in H }
     R_gt H hides it:    S = { R_gt g : g in C, R_gt g H hides it }
 
-A body without marking shows none anywhere, so S = { R_gt g : g in C }.
+A body without marking shows none anywhere, so S = { R_gt g : g in C }. Objects of format version 2, with parts of any
+kind, have the rule of `general_rule`.
 """
 
 from dataclasses import dataclass
@@ -15,9 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.annotation.visibility import MarkingVisibility
+from symsol_annot.annotation.general_rule import GeneralRule
+from symsol_annot.annotation.visibility import MarkingVisibility, visibility_of
 from symsol_annot.objects.spec import ObjectSpec
-from symsol_annot.rendering.renderer import Renderer
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.renderer import Renderer, View
+from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations
 
 
@@ -28,7 +32,8 @@ class Annotation:
     Attributes:
         mask: (G,) bool, which g of the body's group are in the set; S = R_gt @ symmetry_group[mask].
         candidate_px: (G,) f8, the largest p in pixels over the coset R_gt g H; NaN where the rule did not need it.
-            Where geometry decided, an area on the same side of the tolerance, and 0 where p is 0.
+            Where geometry decided, an area on the same side of the tolerance, and 0 where p is 0. By the general rule,
+            the area in which the candidate differs from the image.
     """
 
     mask: npt.NDArray[np.bool_]
@@ -43,11 +48,51 @@ class Annotator:
         spec: the object.
         renderer: draws candidates.
         visibility: decides most of them without drawing; the sets are the same without it.
+        general_rule: compares images; None for an object of format version 1.
     """
 
     spec: ObjectSpec
     renderer: Renderer
     visibility: MarkingVisibility | None = None
+    general_rule: GeneralRule | None = None
+
+    @classmethod
+    def for_object(
+        cls,
+        spec: ObjectSpec,
+        camera: Camera,
+        settings: RenderSettings,
+        renderer: Renderer,
+        *,
+        exhaustive: bool = False,
+    ) -> "Annotator":
+        """Return what annotates an object's images by its rule.
+
+        Args:
+            spec: the object.
+            camera: what it is seen through.
+            settings: how it is drawn.
+            renderer: draws candidates.
+            exhaustive: draw every candidate, also where geometry decides; the sets are the same.
+        """
+        visibility = None if exhaustive else visibility_of(spec, camera, settings)
+        if not spec.has_general_rule:
+            return cls(spec, renderer, visibility)
+        rule = GeneralRule(spec, renderer, camera, settings, visibility, exhaustive)
+        return cls(spec, renderer, visibility, rule)
+
+    def shown_px(self, R_gt: Rotations, view: View) -> float:
+        """Return the area in pixels by which an image counts as showing its marking; a shard stores it.
+
+        By the general rule it is that of the breaking part that shows most; else that of `coset_px`.
+
+        Args:
+            R_gt: (3, 3) the image's rotation.
+            view: the image.
+        """
+        if self.general_rule is None:
+            return self.coset_px(R_gt, view.marking_pixels)
+        return 0.0 if self.spec.marking is None else self.general_rule.shown_px(view.part_pixels)
 
     def is_shown(self, area_px: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Tell where an area p in pixels counts as shown: p >= T, never for a body without marking."""
@@ -76,11 +121,14 @@ class Annotator:
 
         Args:
             R_gt: (3, 3) the image's rotation.
-            coset_px: by which its coset shows the marking, in pixels, from `coset_px`.
+            coset_px: by which its coset shows the marking, in pixels, from `shown_px`.
         """
         cosets, order = self.spec.cosets, len(self.spec.symmetry_group)
         if self.spec.marking is None:
             return Annotation(np.ones(order, dtype=bool), np.zeros(order))
+        if self.general_rule is not None:
+            differing_px = self.general_rule.differing_px(R_gt)
+            return Annotation(differing_px < self.spec.marking.tolerance_px, differing_px)
         candidate_px = np.full(order, np.nan)
         candidate_px[cosets[0]] = coset_px
         if self.is_shown(coset_px):

@@ -154,6 +154,10 @@ def _describe(source: Source, redrawn: Document) -> Document:
         "width": width,
         "height": height,
         "has_segmentation": bool(source.dataset.parts),
+        "parts": list(source.dataset.parts),
+        "part_colours": [
+            f"#{r:02x}{g:02x}{b:02x}" for r, g, b in ID_COLOURS[1 : len(source.dataset.parts) + 1].tolist()
+        ],
         "group_order": len(truth.labels.symmetry_group),
         "group": packed(rotation_to_quat_wxyz(truth.labels.symmetry_group), "f4"),
         "stratum": packed(codes[:shown], "u1"),
@@ -210,7 +214,7 @@ def _write_source(
                 sample = dataset[i]
                 (chunk / f"image-{i:06d}.png").write_bytes(to_png(sample.image))
                 if sample.segmentation is not None:
-                    ids = to_png(sample.segmentation, ID_COLOURS)
+                    ids = to_png(sample.segmentation, ID_COLOURS[: max(3, len(source.dataset.parts) + 1)])
                     (chunk / f"segmentation-{i:06d}.png").write_bytes(ids)
                 found = redrawer.draw(sample)
                 if found:

@@ -1,7 +1,8 @@
 """Drawing images of a set again, to see that its symmetry sets are what the pictures say.
 
 Of each audited image some candidates R_gt g are drawn, half of them where the set ends: members next to candidates
-that were rejected, and the other way round.
+that were rejected, and the other way round. Of an object of format version 2, candidates are compared with the image as
+they were when the set was made: at all points of the lattice.
 """
 
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from symsol_annot.rotations.so3 import Rotations, angle_between
 from symsol_annot.sets.dataset import Dataset, Sample
 from symsol_annot.sets.plan import SetPlan
 
+EDGE_AREA_PX = 1.0  # of breaking parts that another driver can draw otherwise, in pixels of the lattice's points
 EDGE_PIXELS = 8  # how many pixels two drawings of one view may differ in: vertices round to other sub-pixels
 RGB_LEVELS = 12  # how far a pixel must be off to count; a lattice point is worth a 16th to a quarter of the contrast
 DEPTH_RADII = 0.02  # how far a depth must be off to count, in bounding-sphere radii; what an edge decides, by far more
@@ -78,7 +80,8 @@ def audit(
         raise NotAnnotatedError(f"{dataset.folder}: the split {dataset.split!r} has no symmetry sets to audit")
     report = AuditReport()
     controlled = ControlledRenderer(renderer)
-    drawer = _Drawer(Annotator(plan.spec, controlled), MarkingTrace(plan.settings))
+    annotator = Annotator.for_object(plan.spec, plan.camera, plan.settings, controlled, exhaustive=True)
+    drawer = _Drawer(annotator, None if plan.spec.has_general_rule else MarkingTrace(plan.settings))
     for row in np.sort(rng.choice(len(dataset), size=min(count, len(dataset)), replace=False)):
         _audit_image(dataset[int(row)], drawer, rng, report)
         report.images += 1
@@ -98,13 +101,16 @@ def _audit_image(sample: Sample, drawer: "_Drawer", rng: np.random.Generator, re
     candidates = symmetry_set.candidates
     for index in _chosen(symmetry_set, rng):
         drawn = drawer.draw(candidates[index])
+        differing_px = drawer.differing_px(sample.rotation, candidates[index])
         report.within_tolerance += int(drawn.coset_px > 0 and not drawn.shows)
         if symmetry_set.is_member[index]:
             report.members += 1
-            found = [f"member {index} of its set: {what}" for what in _faults_of_member(stored, drawn)]
+            found = [
+                f"member {index} of its set: {what}" for what in drawer.faults_of_member(stored, drawn, differing_px)
+            ]
         else:
             report.rejected += 1
-            is_same = stored.draws_the_marking_of(drawn)
+            is_same = stored.draws_the_marking_of(drawn, differing_px, drawer.annotator.spec.tolerance_px)
             is_near = is_same and stored.shows and _angle_to_members_rad(symmetry_set, index) <= NEAR_RAD
             report.near_neighbours += int(is_near)
             found = [f"candidate {index} was rejected, but draws the same marking"] if is_same and not is_near else []
@@ -119,7 +125,7 @@ class _Drawing:
         rgb: (H, W, 3) u8.
         segmentation: (H, W) u8.
         depth: (H, W) f4; None where the set has none.
-        trace: (H, W) bool, where the RGB carries the marking's colour.
+        trace: (H, W) bool, where the RGB carries the marking's colour; nowhere, where images are compared whole.
         coset_px: the marking's area in pixels, by the rule.
         shows: whether that counts as shown.
     """
@@ -131,8 +137,16 @@ class _Drawing:
     coset_px: float
     shows: bool
 
-    def draws_the_marking_of(self, other: "_Drawing") -> bool:
-        """Tell whether both hide the marking, or both show it in the very same pixels."""
+    def draws_the_marking_of(self, other: "_Drawing", differing_px: float | None, tolerance_px: float | None) -> bool:
+        """Tell whether both hide the marking, or both show it in the very same pixels; or differ by less than T.
+
+        Args:
+            other: the drawing of a candidate.
+            differing_px: by how much it differs, by the general rule; None where that is not the set's.
+            tolerance_px: T.
+        """
+        if differing_px is not None:
+            return differing_px < (tolerance_px or np.inf)
         if not self.shows or not other.shows:
             return self.shows == other.shows
         same_ids = np.array_equal(self.segmentation == MARKING, other.segmentation == MARKING)
@@ -144,13 +158,31 @@ class _Drawer:
     """Draws rotations as the set's images were drawn."""
 
     annotator: Annotator
-    marking_trace: MarkingTrace
+    marking_trace: MarkingTrace | None
+
+    def differing_px(self, R_gt: Rotations, R_m2c: Rotations) -> float | None:
+        """Return by how many pixels the image at R_m2c differs from that at R_gt; None without the general rule."""
+        rule = self.annotator.general_rule
+        if rule is None:
+            return None
+        return 0.0 if rule.spec.marking is None else float(rule.between(R_gt, R_m2c[None])[0])
 
     def draw(self, R_m2c: Rotations) -> _Drawing:
         """Return the drawing of one rotation (3, 3)."""
         view = self.annotator.renderer.render(R_m2c)
-        coset_px = self.annotator.coset_px(R_m2c, view.marking_pixels)
+        coset_px = self.annotator.shown_px(R_m2c, view)
         return self.drawing(view.rgb, view.segmentation, view.depth, coset_px)
+
+    def faults_of_member(self, stored: "_Drawing", drawn: "_Drawing", differing_px: float | None) -> list[str]:
+        """Say in what a member draws another image, given by how much it differs from it by the general rule."""
+        tolerance_px = self.annotator.spec.tolerance_px
+        if differing_px is None or tolerance_px is None:
+            return _faults_of_member(stored, drawn)
+        within_px = min(differing_px, tolerance_px)
+        faults = _faults_of_member(stored, drawn, within_px)
+        if differing_px >= tolerance_px + EDGE_AREA_PX:
+            faults.append(f"differs in {differing_px:g} pixels of the parts that break the symmetry")
+        return faults
 
     def drawing(
         self,
@@ -161,13 +193,21 @@ class _Drawer:
     ) -> _Drawing:
         """Return what pictures and an area say by the set's rule and colours."""
         shows = bool(self.annotator.is_shown(coset_px))
-        return _Drawing(rgb, segmentation, depth, self.marking_trace.of(rgb), coset_px, shows)
+        trace = np.zeros(segmentation.shape, bool) if self.marking_trace is None else self.marking_trace.of(rgb)
+        return _Drawing(rgb, segmentation, depth, trace, coset_px, shows)
 
 
-def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
-    """Say in what a member of an image's set draws another image."""
+def _faults_of_member(stored: _Drawing, drawn: _Drawing, differing_px: float | None = None) -> list[str]:
+    """Say in what a member of an image's set draws another image.
+
+    Args:
+        stored: the image.
+        drawn: the member's drawing.
+        differing_px: by how much the general rule lets them differ, by which a part may show in one alone; None where
+            another rule is the set's.
+    """
     faults = []
-    if drawn.shows != stored.shows:
+    if drawn.shows != stored.shows and differing_px is None:
         verbs = {True: "shows", False: "hides"}
         faults.append(
             f"{verbs[drawn.shows]} the marking ({drawn.coset_px:g} pixels), which the image {verbs[stored.shows]}"
@@ -175,7 +215,7 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing) -> list[str]:
     if drawn.coset_px == 0 and drawn.trace.any():
         faults.append("hides the marking, yet its RGB carries a trace of the marking's colour")
     below_tolerance = sum(0 if drawing.shows else drawing.coset_px for drawing in (stored, drawn))
-    allowed = EDGE_PIXELS + round(_POINTS_PER_PIXEL * below_tolerance)
+    allowed = EDGE_PIXELS + round(_POINTS_PER_PIXEL * max(below_tolerance, differing_px or 0.0))
     rgb = np.abs(stored.rgb.astype(np.int16) - drawn.rgb.astype(np.int16)).max(axis=-1) > RGB_LEVELS
     differing = {
         "segmentation": int(np.count_nonzero(stored.segmentation != drawn.segmentation)),

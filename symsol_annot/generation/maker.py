@@ -8,7 +8,6 @@ import numpy as np
 
 from symsol_annot import __version__
 from symsol_annot.annotation.annotator import Annotator
-from symsol_annot.annotation.visibility import visibility_of
 from symsol_annot.errors import RendererCrashedError
 from symsol_annot.rendering.renderer import Renderer
 from symsol_annot.sets.manifest import ShardEntry
@@ -63,8 +62,7 @@ class ShardMaker:
         check: Callable[[], object] = lambda: None,
     ) -> None:
         self._plan, self._renderer, self._worker, self._check = plan, renderer, worker, check
-        visibility = None if exhaustive else visibility_of(plan.spec, plan.camera, plan.settings)
-        self._annotator = Annotator(plan.spec, renderer, visibility)
+        self._annotator = Annotator.for_object(plan.spec, plan.camera, plan.settings, renderer, exhaustive=exhaustive)
         self._is_closed = False
 
     def make(self, entry: ShardEntry, on_shard_images: OnShardImages) -> MadeShard:
@@ -101,7 +99,7 @@ class ShardMaker:
         annotator = self._annotator
         R_gt = label_rotation(self._plan.seed, self._plan.spec.name, entry.split, index)
         view = self._renderer.render(R_gt)
-        coset_px = annotator.coset_px(R_gt, view_px=view.marking_pixels)
+        coset_px = annotator.shown_px(R_gt, view)
         if not annotated:
             return ImageRecord(view, R_gt, coset_px, None)
         annotation = annotator.annotate(R_gt, coset_px)

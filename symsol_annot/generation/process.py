@@ -105,7 +105,7 @@ class _Task:
 def _start(task: _Task) -> tuple[Answer, str]:
     plan = task.plan
     _watch_memory(task.memory_bytes)
-    renderer = ControlledRenderer(open_blender(Scene(plan.spec.mesh, plan.camera, plan.settings)))
+    renderer = ControlledRenderer(open_blender(Scene.for_object(plan.spec, plan.camera, plan.settings)))
     worker = _name_of(os.getpid())
     maker = ShardMaker(plan, renderer, exhaustive=task.exhaustive, worker=worker, check=renderer.check)
 

@@ -1,24 +1,20 @@
 """Does an object's geometry have the symmetries that its object.toml declares?
 
 Points of the surface are turned by elements of the group and must land on the surface again. The marking must
-land on itself under its stabiliser, and under no other element.
+land on itself under its stabiliser, and under no other element. Of an object of format version 2, whose stabiliser is
+derived from its parts, the surfaces of the parts that do not break the group are checked.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from symsol_annot.errors import ObjectError
+from symsol_annot.objects.mesh import Mesh
 from symsol_annot.objects.spec import ObjectSpec
-from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.objects.surface import SURFACE_POINTS, SURFACE_TOLERANCE, Points, surface_offsets, surface_points
 
-SURFACE_TOLERANCE = 1e-6
-_POINTS = 32
 _ELEMENTS = 12
 _FEW_POINTS = 8  # most elements move one of a few points off the marking
-_CHUNK = 2**18
 _MAX_DISTANCES = 2**28  # of turned points to triangles of the marking: about 20 s
-
-Points = npt.NDArray[np.float64]
 
 
 def check_object(spec: ObjectSpec) -> None:
@@ -27,22 +23,44 @@ def check_object(spec: ObjectSpec) -> None:
     Raises:
         ObjectError: the surface or the marking lacks a declared symmetry, or the marking has another one.
     """
-    triangles = spec.mesh.vertices[spec.mesh.triangles]
+    triangles = _shell(spec.mesh) if spec.has_general_rule else spec.mesh.vertices[spec.mesh.triangles]
     group = spec.symmetry_group
     sampled = group[np.unique(np.linspace(0, len(group) - 1, _ELEMENTS).astype(int))]
     off = surface_offsets(surface_points(triangles), triangles, np.concatenate([group[1:2], sampled]))
     if not off.max() <= SURFACE_TOLERANCE:
+        field = "symmetry" if spec.has_general_rule else "body.group"
         raise ObjectError(
-            f"{spec.folder}: the surface of {spec.name!r} is not invariant under body.group: an element of it moves "
-            f"points {off.max():.3g} off the surface (allowed {SURFACE_TOLERANCE:g}). A round body needs a multiple "
-            "of the group's order of facets, about the z axis"
+            f"{spec.folder}: the surface of {spec.name!r} is not invariant under {field}: an element of it moves "
+            f"points {off.max():.3g} off the surface (allowed {SURFACE_TOLERANCE:g}). {_remedy(spec)}"
         )
-    if spec.marking is not None:
+    if spec.marking is not None and not spec.has_general_rule:  # whose stabiliser is derived
         _check_marking(spec, triangles[spec.mesh.is_marking])
 
 
+def _remedy(spec: ObjectSpec) -> str:
+    if spec.has_general_rule and spec.marking is not None:
+        return (
+            "A part that stands out has to be a closed surface of its own, which may reach into the body; a round body "
+            "needs a multiple of the group's order of facets"
+        )
+    return "A round body needs a multiple of the group's order of facets, about the z axis"
+
+
+def _shell(mesh: Mesh) -> Points:
+    """Return the closed surfaces (T, 3, 3) that parts that break no symmetry lie on, with what is painted on them."""
+    from scipy.sparse import coo_array  # noqa: PLC0415 - scipy is slow to load, and few objects need this
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+    triangles, number = np.arange(len(mesh.triangles)), len(mesh.triangles)
+    ends = (np.repeat(triangles, 3), number + mesh.triangles.reshape(-1))
+    size = number + len(mesh.vertices)
+    _, piece = connected_components(coo_array((np.ones(3 * number), ends), shape=(size, size)), directed=False)
+    kept = np.isin(piece[:number], piece[:number][~mesh.is_marking])
+    return mesh.vertices[mesh.triangles[kept]]
+
+
 def _check_marking(spec: ObjectSpec, marking: Points) -> None:
-    distances = len(marking) * (_POINTS * len(spec.stabiliser) + _FEW_POINTS * len(spec.symmetry_group))
+    distances = len(marking) * (SURFACE_POINTS * len(spec.stabiliser) + _FEW_POINTS * len(spec.symmetry_group))
     if distances > _MAX_DISTANCES:
         raise ObjectError(
             f"{spec.folder}: the marking of {spec.name!r} has {len(marking):,} triangles, too many to hold against "
@@ -64,41 +82,3 @@ def _check_marking(spec: ObjectSpec, marking: Points) -> None:
             f"{spec.folder}: {np.count_nonzero(extra) + 1} cosets of marking.stabiliser in body.group map the marking "
             f"of {spec.name!r} onto itself, expected 1: the stabiliser is larger than declared"
         )
-
-
-def surface_points(triangles: Points, count: int = _POINTS) -> Points:
-    """Return (count, 3) points spread over triangles (T, 3, 3), always the same ones, corners among them."""
-    rng = np.random.default_rng(0)
-    areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
-    chosen = rng.choice(len(triangles), size=count, p=areas / areas.sum())
-    weights = rng.dirichlet(np.ones(3), size=count)
-    weights[: count // 4] = np.eye(3)[rng.integers(3, size=count // 4)]
-    return np.einsum("pi,pij->pj", weights, triangles[chosen])
-
-
-def surface_offsets(points: Points, triangles: Points, rotations: Rotations) -> npt.NDArray[np.float64]:
-    """Return for each rotation how far off the triangles the farthest turned point lies: (len(rotations),)."""
-    turned = (points @ np.swapaxes(rotations, -1, -2)).reshape(-1, 3)
-    return distance_to_triangles(turned, triangles).reshape(len(rotations), len(points)).max(axis=1, initial=0.0)
-
-
-def distance_to_triangles(points: Points, triangles: Points) -> npt.NDArray[np.float64]:
-    """Return the distance (P,) of points (P, 3) to the nearest of triangles (T, 3, 3)."""
-    step = max(1, _CHUNK // len(triangles))
-    chunks = [_distances(points[start : start + step], triangles) for start in range(0, len(points), step)]
-    return np.concatenate(chunks) if chunks else np.zeros(0)
-
-
-def _distances(points: Points, triangles: Points) -> npt.NDArray[np.float64]:
-    """Return (P,) distances to the nearest triangle: to its plane where the foot is inside, else to its edges."""
-    edges = np.roll(triangles, -1, axis=1) - triangles  # (T, 3, 3)
-    normals = np.cross(edges[:, 0], edges[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    from_corner = points[:, None, None] - triangles  # (P, T, 3, 3)
-    along = np.einsum("ptci,tci->ptc", from_corner, edges) / np.square(edges).sum(axis=-1)
-    to_edge = from_corner - np.clip(along, 0.0, 1.0)[..., None] * edges
-    distance = np.sqrt(np.square(to_edge).sum(axis=-1)).min(axis=-1)
-    sides = np.einsum("ptci,tci->ptc", from_corner, np.cross(normals[:, None], edges))
-    height = np.abs(np.einsum("pti,ti->pt", from_corner[:, :, 0], normals))
-    nearest: npt.NDArray[np.float64] = np.where((sides >= 0).all(axis=-1), height, distance).min(axis=1)
-    return nearest

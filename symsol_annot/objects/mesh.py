@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+BODY_ID, MARKING_ID = 1, 2  # of the parts; 0 is the background's
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -14,18 +16,20 @@ class Mesh:
         vertices: (V, 3) f8.
         triangles: (T, 3) indices of vertices, counter-clockwise seen from outside.
         corner_normals: (T, 3, 3) f8 unit normals, one per corner of a triangle.
-        is_marking: (T,) bool, which triangles carry the marking.
+        part_ids: (T,) u8, the part that each triangle belongs to: 1 the body, then the others; 0 is the background's.
+        breaking: the ids of the parts that break the body's symmetry; together they are the marking.
     """
 
     vertices: npt.NDArray[np.float64]
     triangles: npt.NDArray[np.intp]
     corner_normals: npt.NDArray[np.float64]
-    is_marking: npt.NDArray[np.bool_]
+    part_ids: npt.NDArray[np.uint8]
+    breaking: tuple[int, ...] = (MARKING_ID,)
 
     @property
-    def part_ids(self) -> npt.NDArray[np.uint8]:
-        """(T,) the part that each triangle belongs to: 1 the body, 2 the marking; 0 is the background's id."""
-        return np.asarray(1 + self.is_marking, dtype=np.uint8)
+    def is_marking(self) -> npt.NDArray[np.bool_]:
+        """(T,) bool, which triangles belong to a part that breaks the body's symmetry."""
+        return np.isin(self.part_ids, self.breaking)
 
     @property
     def parts(self) -> int:
@@ -36,3 +40,7 @@ class Mesh:
     def marking_vertices(self) -> npt.NDArray[np.float64]:
         """The (M, 3) vertices that the marking's triangles use."""
         return self.vertices[np.unique(self.triangles[self.is_marking])]
+
+    def triangles_of(self, part: int) -> npt.NDArray[np.float64]:
+        """Return the corners (T, 3, 3) of the triangles of the part of an id."""
+        return self.vertices[self.triangles[self.part_ids == part]]

@@ -1,7 +1,8 @@
 """Meshes from OBJ files, checked for what rendering relies on.
 
-The subset of OBJ read here: `v`, `vn`, `usemtl body|marking` and `f` with convex polygons; other
-statements (`#`, `o`, `g`, `s`, `mtllib`, `vt`) are passed over. A face without `vn` is flat.
+The subset of OBJ read here: `v`, `vn`, `usemtl` and `f` with convex polygons; other statements (`#`, `o`, `g`, `s`,
+`mtllib`, `vt`) are passed over. A face without `vn` is flat. In an object of format version 1, faces before the first
+`usemtl` belong to the body; in one of version 2, whose parts are told by their materials, they are refused.
 """
 
 import io
@@ -14,17 +15,18 @@ from pathlib import Path
 import numpy as np
 
 from symsol_annot.errors import ObjectError
-from symsol_annot.objects.mesh import Mesh
+from symsol_annot.objects.mesh import BODY_ID, Mesh
 from symsol_annot.system.reading import read_bytes
 from symsol_annot.system.text.toml import shown
 
-MATERIALS = ("body", "marking")
+MATERIALS = ("body", "marking")  # of an object of format version 1
 BOUNDING_RADIUS_TOLERANCE = 1e-6
 MAX_MESH_BYTES = 2**26
 MAX_TRIANGLES = MAX_POINTS = 250_000  # points: vertices, and normals; a shipped mesh has up to 2,900 triangles
 _MAX_LINES, _MAX_LINE = 3_000_000, 2**20  # characters of a line: a polygon of 100,000 corners
 _LARGEST = 1e30  # of a coordinate: its fourth power is a number yet
 _MAX_DIGITS = 18  # of an index
+_NO_PART = 0  # before the first 'usemtl', where there is no part of which that could be
 _FLAT = -1  # in place of a normal's index
 _IGNORED = {"o", "g", "s", "mtllib", "vt", "l", "p"}
 
@@ -38,17 +40,18 @@ def read_mesh(path: Path) -> Mesh:
     return parse_mesh(read_object_file(path, MAX_MESH_BYTES), path)
 
 
-def parse_mesh(data: bytes, path: Path) -> Mesh:
+def parse_mesh(data: bytes, path: Path, materials: tuple[str, ...] | None = None) -> Mesh:
     """Return the mesh that a mesh.obj's bytes describe, checked as `read_mesh` does.
 
     Args:
         data: of the file.
         path: where they come from, for error messages.
+        materials: those of the parts, in the order of the parts' ids, the first of id 1; None in format version 1.
 
     Raises:
         ObjectError: they are broken.
     """
-    mesh = _ObjParser(path).parse(data)
+    mesh = _ObjParser(path, materials).parse(data)
     _check_bounding_sphere(path, mesh)
     _check_closed(path, mesh)
     return mesh
@@ -71,13 +74,15 @@ def read_object_file(path: Path, limit: int) -> bytes:
 class _ObjParser:
     """Collects the statements of one OBJ file; every fault names its line."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, materials: tuple[str, ...] | None) -> None:
         self._path = path
         self._line = 0
+        self._ids = {material: number for number, material in enumerate(materials or MATERIALS, start=BODY_ID)}
+        self._is_first_version = materials is None
         self._vertices, self._normals = array("d"), array("d")  # three numbers each
-        self._material = "body"
+        self._part = BODY_ID if self._is_first_version else _NO_PART
         self._corners, self._corner_normals = array("q"), array("q")  # three indices per triangle
-        self._is_marking = bytearray()
+        self._parts = bytearray()
         self._lines = array("q")  # where each triangle stands
 
     def parse(self, data: bytes) -> Mesh:
@@ -117,14 +122,20 @@ class _ObjParser:
         elif keyword == "vn":
             self._normals.extend(self._normal(words))
         elif keyword == "usemtl":
-            if len(words) != 1 or words[0] not in MATERIALS:
-                found = shown(f"usemtl {' '.join(words)}")
-                raise self._fault(f"expected 'usemtl body' or 'usemtl marking', found {found}")
-            self._material = words[0]
+            self._part = self._part_of(" ".join(words))
         elif keyword == "f":
             self._face(words)
         elif keyword not in _IGNORED:
             raise self._fault(f"unknown statement {shown(keyword)}")
+
+    def _part_of(self, material: str) -> int:
+        if material in self._ids:
+            return self._ids[material]
+        if self._is_first_version:
+            raise self._fault(f"expected 'usemtl body' or 'usemtl marking', found {shown(f'usemtl {material}')}")
+        raise self._fault(
+            f"no [[part]] of object.toml selects the material {shown(material)}, so that its faces would be in no part"
+        )
 
     def _numbers(self, words: list[str], what: str, there: "array[float]") -> tuple[float, float, float]:
         try:
@@ -152,13 +163,15 @@ class _ObjParser:
         corners = [self._corner(word) for word in words]
         if len(corners) < 3:
             raise self._fault(f"a face needs at least 3 corners, found {len(corners)}")
+        if self._part == _NO_PART:
+            raise self._fault("a face is in no part, for no 'usemtl' above it says which material it has")
         if len(self._lines) + len(corners) - 2 > MAX_TRIANGLES:
             raise self._too_many("triangles", MAX_TRIANGLES)
         for second, third in pairwise(corners[1:]):
             for vertex, normal in (corners[0], second, third):
                 self._corners.append(vertex)
                 self._corner_normals.append(normal)
-            self._is_marking.append(self._material == "marking")
+            self._parts.append(self._part)
             self._lines.append(self._line)
 
     def _corner(self, word: str) -> tuple[int, int]:
@@ -185,7 +198,7 @@ class _ObjParser:
         corner_normals = np.repeat((flat / doubled_area[:, None])[:, None], 3, axis=1)
         given = np.array(self._corner_normals, dtype=np.intp).reshape(-1, 3)
         corner_normals[given != _FLAT] = np.array(self._normals).reshape(-1, 3)[given[given != _FLAT]]
-        return Mesh(vertices, triangles, corner_normals, np.frombuffer(self._is_marking, dtype=np.bool_).copy())
+        return Mesh(vertices, triangles, corner_normals, np.frombuffer(self._parts, dtype=np.uint8).copy())
 
 
 def _is_plain(words: list[str]) -> bool:

@@ -38,6 +38,14 @@ class ObjectToml:
         """Tell whether a dotted field is there."""
         return self._find(field) is not None
 
+    def count(self, field: str) -> int:
+        """Return how many tables a dotted field has that is written as `[[field]]`; 0 where it is none.
+
+        The first of them is `field.0`, and so on.
+        """
+        tables = self._find(field)
+        return len(tables) if _are_tables(tables) else 0
+
     def take(self, field: str, kind: type[Any]) -> Any:
         """Return a dotted field's value, of the type asked for; whole numbers pass as float.
 
@@ -73,10 +81,16 @@ class ObjectToml:
     def _line_of(self, field: str) -> int | None:
         """Return the line where a dotted field is set, by its table's header and its key, or in an inline table."""
         table = ""
+        seen: dict[str, int] = {}
         for number, line in enumerate(self._text.split("\n"), start=1):
             header = re.match(r"\s*\[([^\[\]]+)\]", line)
+            repeated = re.match(r"\s*\[\[([^\[\]]+)\]\]", line)
             key = re.match(r"\s*([^\s=#]+)\s*=", line)
-            if header:
+            if repeated:
+                name = _plain(repeated[1])
+                seen[name] = seen.get(name, -1) + 1
+                table = f"{name}.{seen[name]}."
+            elif header:
                 table = _plain(header[1]) + "."
             elif key and f"{field}.".startswith(f"{table}{_plain(key[1])}."):
                 return number
@@ -85,7 +99,10 @@ class ObjectToml:
     def _find(self, field: str) -> Any:
         value: Any = self._tables
         for key in field.split("."):
-            value = value.get(key) if isinstance(value, dict) else None
+            if _are_tables(value) and key.isdecimal():
+                value = value[int(key)] if int(key) < len(value) else None
+            else:
+                value = value.get(key) if isinstance(value, dict) else None
         return value
 
 
@@ -97,9 +114,14 @@ def _plain(key: str) -> str:
     return re.sub(r"[\s\"']", "", key)
 
 
+def _are_tables(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(table, dict) for table in value)
+
+
 def _leaves(table: dict[str, Any], prefix: _Field = ()) -> list[_Field]:
-    """Return the fields of tables within tables, empty tables among them."""
+    """Return the fields of tables within tables, empty tables among them; those of repeated tables by their number."""
     fields: list[_Field] = []
     for key, value in table.items():
-        fields += _leaves(value, (*prefix, key)) if isinstance(value, dict) and value else [(*prefix, key)]
+        inner = {str(number): one for number, one in enumerate(value)} if _are_tables(value) else value
+        fields += _leaves(inner, (*prefix, key)) if isinstance(inner, dict) and inner else [(*prefix, key)]
     return fields

@@ -1,4 +1,4 @@
-"""Objects as data: a folder with object.toml and mesh.obj says everything about one.
+"""Objects as data: a folder with object.toml and a mesh says everything about one.
 
 spec = load_object("cylO")              # a built-in one
 spec = load_object("path/to/mug")       # a folder of the same form
@@ -6,38 +6,45 @@ spec = load_object("path/to/mug")       # a folder of the same form
 
 import difflib
 import hashlib
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import ObjectError, RotationError, UnknownObjectError
+from symsol_annot.objects.group_toml import read_group
 from symsol_annot.objects.mesh import Mesh
 from symsol_annot.objects.obj_file import MAX_MESH_BYTES, parse_mesh, read_object_file
 from symsol_annot.objects.object_toml import ObjectToml
-from symsol_annot.rotations.groups import GROUP_KINDS, GroupParameter, left_cosets
+from symsol_annot.objects.parts import (
+    BODY_COLOUR,
+    MARKING_COLOUR,
+    Part,
+    breaking_parts,
+    read_mesh_name,
+    read_of,
+    read_parts,
+    read_tolerance,
+)
+from symsol_annot.rotations.groups import left_cosets
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.system.text.names import OBJECT_NAME_RULE, is_object_name
 from symsol_annot.system.text.toml import MAX_TOML_BYTES, TITLE_RULE, is_title, shown
 
-OBJECT_FORMAT_VERSION = 1
-MAX_GROUP_ORDER = 3600
-_AXIS_LENGTHS = (1e-9, 1e9)  # within which its square, and so its direction, is a number
+OBJECT_FORMAT_VERSIONS = (1, 2)
 
 
 @dataclass(frozen=True)
 class Marking:
-    """What is painted on a body and breaks its symmetry.
+    """What breaks a body's symmetry: what is painted on it or, in format version 2, every part that does.
 
     Attributes:
-        stabiliser: (H, 3, 3) the rotations of the body's group that map the marking onto itself.
-        tolerance_px: T; the marking counts as hidden where it covers less than this area of the image.
+        stabiliser: (H, 3, 3) the rotations of the body's group that map the marking onto itself, part by part.
+        tolerance_px: T; the marking counts as hidden where it covers less than this area of the image. By the general
+            rule, images are the same that differ by less than this area.
     """
 
     stabiliser: Rotations
@@ -51,11 +58,14 @@ class ObjectSpec:
     Attributes:
         name: the name in file names and labels, by the rule in `names`.
         title: what it is, in words.
-        digest: SHA-256 over the bytes of object.toml and mesh.obj that were read.
+        digest: SHA-256 over the bytes of object.toml and of the mesh that were read.
         folder: where it was read from; None where it was not read from a folder.
         mesh: the surface.
         symmetry_group: (G, 3, 3) C, the rotations that map the unmarked body onto itself, identity first.
         marking: None for a body without one.
+        parts: all of them in the order of their ids, the body first, whose id is 1.
+        has_general_rule: whether its symmetry sets follow from a comparison of images, as those of format version 2;
+            else from whether the marking shows.
     """
 
     name: str
@@ -65,6 +75,8 @@ class ObjectSpec:
     mesh: Mesh
     symmetry_group: Rotations
     marking: Marking | None
+    parts: tuple[Part, ...]
+    has_general_rule: bool = False
 
     @property
     def stabiliser(self) -> Rotations:
@@ -109,7 +121,7 @@ def load_object(name_or_folder: str) -> ObjectSpec:
 
 
 def read_object(folder: Path) -> ObjectSpec:
-    """Read object.toml and mesh.obj of one folder.
+    """Read object.toml and the mesh of one folder.
 
     Raises:
         ObjectError: a file is missing or broken; the message names the field or the line.
@@ -117,15 +129,21 @@ def read_object(folder: Path) -> ObjectSpec:
     toml_data = read_object_file(folder / "object.toml", MAX_TOML_BYTES)
     toml = ObjectToml(folder / "object.toml", toml_data)
     version = toml.take("format_version", int)
-    if version != OBJECT_FORMAT_VERSION:
-        raise toml.fault("format_version", f"expected {OBJECT_FORMAT_VERSION}, found {version}")
+    if version not in OBJECT_FORMAT_VERSIONS:
+        raise toml.fault("format_version", f"expected {' or '.join(map(str, OBJECT_FORMAT_VERSIONS))}, found {version}")
     name = toml.take("name", str)
     if not is_object_name(name):
         raise toml.fault("name", f"expected {OBJECT_NAME_RULE}, found {shown(name)}")
     title = toml.take("title", str)
     if not is_title(title):
         raise toml.fault("title", f"expected {TITLE_RULE}, found {shown(title)}")
-    group = _read_group(toml, "body.group")
+    read = _read_marked if version == 1 else _read_parted
+    return read(folder, toml, (name, title), hashlib.sha256(toml_data).digest())
+
+
+def _read_marked(folder: Path, toml: ObjectToml, names: tuple[str, str], toml_digest: bytes) -> ObjectSpec:
+    """Read the rest of an object of format version 1: a body and, perhaps, a marking."""
+    group = read_group(toml, "body.group")
     mesh_data = read_object_file(folder / "mesh.obj", MAX_MESH_BYTES)
     mesh = parse_mesh(mesh_data, folder / "mesh.obj")
     marking = _read_marking(toml) if toml.has("marking") else None
@@ -135,15 +153,31 @@ def read_object(folder: Path) -> ObjectSpec:
             f"{folder}: mesh.obj has {'a' if marking is None else 'no'} face of the material 'marking', "
             f"while object.toml has {'no' if marking is None else 'a'} [marking] table; they must agree"
         )
-    digest = hashlib.sha256()
-    for data in (toml_data, mesh_data):
-        digest.update(hashlib.sha256(data).digest())
-    spec = ObjectSpec(name, title, digest.hexdigest(), folder, mesh, group, marking)
+    digest = hashlib.sha256(toml_digest + hashlib.sha256(mesh_data).digest()).hexdigest()
+    parts = (Part("body", "body", BODY_COLOUR), Part("marking", "marking", MARKING_COLOUR))[: mesh.parts]
+    spec = ObjectSpec(*names, digest, folder, mesh, group, marking, parts)
     try:
         _ = spec.cosets
     except RotationError as error:
         raise toml.fault("marking.stabiliser", f"is no subgroup of body.group: {error}") from None
     return spec
+
+
+def _read_parted(folder: Path, toml: ObjectToml, names: tuple[str, str], toml_digest: bytes) -> ObjectSpec:
+    """Read the rest of an object of format version 2: parts, and the group of those that do not break it."""
+    parts, of = read_parts(toml), read_of(toml)
+    if toml.has("symmetry.group"):
+        raise toml.fault("symmetry.group", "is not read yet: state the group by its kind, with order and axis")
+    group, tolerance_px = read_group(toml, "symmetry"), read_tolerance(toml)
+    path = folder / read_mesh_name(toml)
+    toml.refuse_unknown_fields()
+    mesh_data = read_object_file(path, MAX_MESH_BYTES)
+    mesh = parse_mesh(mesh_data, path, tuple(part.material for part in parts))
+    digest = hashlib.sha256(toml_digest + hashlib.sha256(mesh_data).digest()).hexdigest()
+    found = breaking_parts(toml, mesh, parts, of, group)
+    mesh = replace(mesh, breaking=found.ids)
+    marking = Marking(group[found.stabiliser], tolerance_px) if found.ids else None
+    return ObjectSpec(*names, digest, folder, mesh, group, marking, parts, has_general_rule=True)
 
 
 def _assets() -> Path:
@@ -162,45 +196,14 @@ def _unknown_object(name: str) -> str:
 
 
 def _read_marking(toml: ObjectToml) -> Marking:
-    stabiliser = _read_group(toml, "marking.stabiliser")
+    stabiliser = read_group(toml, "marking.stabiliser")
     tolerance_px = toml.take("marking.tolerance_px", float)
     if not 0.0 < tolerance_px < float("inf"):
         raise toml.fault("marking.tolerance_px", f"expected a positive number of pixels, found {tolerance_px}")
     if not toml.take("marking.any_part_fixes_rotation", bool):
         raise toml.fault(
             "marking.any_part_fixes_rotation",
-            "is false, and such a marking (two equal dots, a long stripe) is not supported yet: "
-            "its symmetry sets need a comparison of whole label images",
+            "is false, and such a marking (two equal dots, a long stripe) needs a comparison of whole images: "
+            "make the marking a [[part]] of an object.toml of format version 2, as docs/objects.md shows",
         )
     return Marking(stabiliser, tolerance_px)
-
-
-def _read_group(toml: ObjectToml, field: str) -> Rotations:
-    """Return the group that a table like { kind = "cyclic", order = 3, axis = [0, 0, 1] } names."""
-    name = toml.take(f"{field}.kind", str)
-    if name not in GROUP_KINDS:
-        raise toml.fault(f"{field}.kind", f"expected one of {', '.join(GROUP_KINDS)}, found {name!r}")
-    kind = GROUP_KINDS[name]
-    given = [*kind.needs, *(parameter for parameter in kind.takes if toml.has(f"{field}.{parameter}"))]
-    return kind.make(**{parameter: _PARAMETER_READERS[parameter](toml, f"{field}.{parameter}") for parameter in given})
-
-
-def _read_order(toml: ObjectToml, field: str) -> int:
-    order: int = toml.take(field, int)
-    if not 1 <= order <= MAX_GROUP_ORDER:
-        raise toml.fault(field, f"expected 1 to {MAX_GROUP_ORDER}, found {order}")
-    return order
-
-
-def _read_axis(toml: ObjectToml, field: str) -> list[float]:
-    axis = toml.take(field, list)
-    numbers = [float(x) for x in axis if isinstance(x, int | float) and not isinstance(x, bool) and math.isfinite(x)]
-    if len(axis) != 3 or len(numbers) != 3 or not any(numbers):
-        raise toml.fault(field, f"expected three finite numbers that are not all 0, found {shown(axis)}")
-    least, most = _AXIS_LENGTHS
-    if not least <= math.hypot(*numbers) <= most:
-        raise toml.fault(field, f"expected an axis of a length from {least:g} to {most:g}, found {shown(axis)}")
-    return numbers
-
-
-_PARAMETER_READERS: dict[GroupParameter, Callable[[ObjectToml, str], Any]] = {"order": _read_order, "axis": _read_axis}

@@ -1,5 +1,6 @@
 """Contact sheets: images, segmentations and symmetry sets (figures 2.1 and 5.3)."""
 
+import colorsys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,18 @@ from symsol_annot.plotting.canvas import new_figure, write_figure
 from symsol_annot.plotting.rotations import draw_pi_ball
 from symsol_annot.sets.dataset import Sample
 
-ID_COLOURS = np.array([[0, 0, 0], [140, 30, 30], [240, 128, 128]], dtype=np.uint8)  # as in figure 5.2
+_THESIS_COLOURS = ((0, 0, 0), (140, 30, 30), (240, 128, 128))  # as in figure 5.2
+_GOLDEN = (5**0.5 - 1.0) / 2.0  # of a turn of the hue from one id to the next
 _COLUMN_INCHES = 2.2
+
+
+def _colours_of_ids() -> npt.NDArray[np.uint8]:
+    others = (colorsys.hsv_to_rgb((0.2 + number * _GOLDEN) % 1.0, 0.75, 0.9) for number in range(256))
+    colours = [tuple(round(255 * part) for part in colour) for colour in others]
+    return np.array([*_THESIS_COLOURS, *colours[len(_THESIS_COLOURS) :]], dtype=np.uint8)
+
+
+ID_COLOURS = _colours_of_ids()  # (256, 3), of a segmentation's ids: background, body, then the other parts
 
 
 def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, has_marking: bool = True) -> None:

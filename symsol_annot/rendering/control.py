@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import RendererCrashedError
-from symsol_annot.rendering.renderer import LabelWindow, Renderer, View
+from symsol_annot.rendering.renderer import LabelWindow, LitWindow, Renderer, View
 from symsol_annot.rotations.so3 import Rotations, uniform_rotations
 from symsol_annot.system.closing import Closing
 
@@ -68,6 +68,16 @@ class ControlledRenderer(Closing):
         for start in range(0, len(R_m2c), _COUNTS_PER_SIGN):
             self._check_now_and_then()
             found += self._renderer.label_windows(R_m2c[start : start + _COUNTS_PER_SIGN])
+            self.frames += min(_COUNTS_PER_SIGN, len(R_m2c) - start)
+            self.on_batch()
+        return found
+
+    def lit_windows(self, R_m2c: Rotations) -> list[LitWindow]:
+        """Return what lies around the marking under each of (n, 3, 3) rotations, and its colours."""
+        found: list[LitWindow] = []
+        for start in range(0, len(R_m2c), _COUNTS_PER_SIGN):
+            self._check_now_and_then()
+            found += self._renderer.lit_windows(R_m2c[start : start + _COUNTS_PER_SIGN])
             self.frames += min(_COUNTS_PER_SIGN, len(R_m2c) - start)
             self.on_batch()
         return found

@@ -6,7 +6,7 @@ import numpy.typing as npt
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.blender_process import SILENCE_S, Answer, BlenderProcess, open_blender, serve
 from symsol_annot.rendering.camera import Camera
-from symsol_annot.rendering.renderer import LabelWindow, Scene, View
+from symsol_annot.rendering.renderer import LabelWindow, LitWindow, Scene, View
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations, check_rotations
 from symsol_annot.system.closing import Closing
@@ -28,7 +28,7 @@ class RenderProcess(Closing):
     def __init__(
         self, spec: ObjectSpec, camera: Camera, settings: RenderSettings, silence_s: float = SILENCE_S
     ) -> None:
-        self._process = BlenderProcess(__name__, Scene(spec.mesh, camera, settings), silence_s)
+        self._process = BlenderProcess(__name__, Scene.for_object(spec, camera, settings), silence_s)
 
     @property
     def versions(self) -> dict[str, str]:
@@ -58,6 +58,14 @@ class RenderProcess(Closing):
         found: list[LabelWindow] = []
         for start in range(0, len(R_m2c), COUNTS_PER_REQUEST):
             found += self._process.ask(("label_windows", R_m2c[start : start + COUNTS_PER_REQUEST]))
+        return found
+
+    def lit_windows(self, R_m2c: Rotations) -> list[LitWindow]:
+        """Return what lies around the marking under each of (n, 3, 3) rotations, and its colours."""
+        R_m2c = check_rotations(R_m2c, "R_m2c")
+        found: list[LitWindow] = []
+        for start in range(0, len(R_m2c), COUNTS_PER_REQUEST):
+            found += self._process.ask(("lit_windows", R_m2c[start : start + COUNTS_PER_REQUEST]))
         return found
 
     def close(self) -> None:

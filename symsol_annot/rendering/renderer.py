@@ -7,13 +7,15 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.mesh import Mesh
+from symsol_annot.objects.mesh import BODY_ID, MARKING_ID, Mesh
+from symsol_annot.objects.parts import Colour
+from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations
 
-BACKGROUND, BODY, MARKING = 0, 1, 2  # segmentation ids
+BACKGROUND, BODY, MARKING = 0, BODY_ID, MARKING_ID  # segmentation ids
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,16 +26,25 @@ class Scene:
         mesh: the object's, in model coordinates.
         camera: what it is seen through.
         settings: engine, supersampling, colours and light.
+        colours: linear RGB of each part; empty where the settings have those of body and marking.
     """
 
     mesh: Mesh
     camera: Camera
     settings: RenderSettings
+    colours: tuple[Colour, ...] = ()
+
+    @classmethod
+    def for_object(cls, spec: ObjectSpec, camera: Camera, settings: RenderSettings) -> "Scene":
+        """Return the scene of an object, in the colours of its parts where it brings them."""
+        colours = tuple(part.colour for part in spec.parts) if spec.has_general_rule else ()
+        return cls(spec.mesh, camera, settings, colours)
 
     @property
     def part_colours(self) -> npt.NDArray[np.float64]:
         """The (P, 3) linear RGB of the parts, in the order of their ids, of which the first is 1."""
-        return np.array([self.settings.body_colour, self.settings.marking_colour])[: self.mesh.parts]
+        colours = self.colours or (self.settings.body_colour, self.settings.marking_colour)
+        return np.array(colours)[: self.mesh.parts]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +53,7 @@ class View:
 
     Attributes:
         rgb: (H, W, 3) u8 in sRGB, anti-aliased.
-        segmentation: (H, W) u8, the id (0 background, 1 body, 2 marking) at each pixel's centre.
+        segmentation: (H, W) u8, the id (0 background, then the parts in their order) at each pixel's centre.
         part_pixels: (P,) f8, the visible area of each part in pixels, the body's first: the lattice points that show
             it, over those per pixel.
         depth: (H, W) f4, how far along the camera's axis what is seen at each pixel's centre lies from the camera, in
@@ -71,6 +82,17 @@ class LabelWindow:
 
     window: Window
     ids: npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class LitWindow(LabelWindow):
+    """What lies at the lattice's points around an object's marking, and how it is lit.
+
+    Attributes:
+        rgb: (height, width, 3) u8 in sRGB, the colour at each of them.
+    """
+
+    rgb: npt.NDArray[np.uint8]
 
 
 class Renderer(AbstractContextManager["Renderer"], Protocol):
@@ -112,6 +134,16 @@ class Renderer(AbstractContextManager["Renderer"], Protocol):
 
         Returns:
             n windows, each of which holds all of the marking's points that the rotation's view has, bit for bit.
+
+        Raises:
+            RenderError: the object has no marking.
+        """
+
+    def lit_windows(self, R_m2c: Rotations) -> list[LitWindow]:
+        """Return what `label_windows` does, and the colour at each point.
+
+        Args:
+            R_m2c: (n, 3, 3); n may be 0.
 
         Raises:
             RenderError: the object has no marking.

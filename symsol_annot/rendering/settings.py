@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from symsol_annot.errors import SettingsError
+from symsol_annot.objects.parts import BODY_COLOUR, MARKING_COLOUR, Colour
 from symsol_annot.rendering.engines import DEFAULT_ENGINE, engine_named, engines_with_depth
 
 SAMPLES_PER_AXIS = (2, 4, 6, 8)  # even, and sums of their squares fit 16 bits
@@ -23,8 +24,8 @@ class RenderSettings:
         engine: the name of one in `engines.ENGINES`.
         samples_per_axis: the supersampling: the lattice's points lie 1 / `samples_per_axis` pixel apart, as
             `Camera.lattice` has them.
-        body_colour: linear RGB, from 0 to 1.
-        marking_colour: linear RGB.
+        body_colour: linear RGB, from 0 to 1; an object of format version 2 brings colours of its own.
+        marking_colour: linear RGB, of the same objects.
         background_colour: linear RGB.
         ambient: light on every surface, from 0 to 1.
         diffuse: light on a surface that faces the camera, from 0 to 1.
@@ -37,9 +38,9 @@ class RenderSettings:
 
     engine: str = DEFAULT_ENGINE
     samples_per_axis: int = 2
-    body_colour: tuple[float, float, float] = (0.72, 0.80, 0.94)
-    marking_colour: tuple[float, float, float] = (0.95, 0.16, 0.04)
-    background_colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    body_colour: Colour = BODY_COLOUR
+    marking_colour: Colour = MARKING_COLOUR
+    background_colour: Colour = (1.0, 1.0, 1.0)
     ambient: float = 0.04
     diffuse: float = 0.96
     depth: bool = False

@@ -59,9 +59,14 @@ def seal(plan: SetPlan, versions: dict[str, str], folder: Path) -> Secret:
         folder: of the sealed test.
 
     Raises:
-        SealError: the folder holds one already; nothing was touched.
+        SealError: the folder holds one already, or the object is of format version 2; nothing was touched.
         OutputError: the folder cannot be written to, or another process is making the test.
     """
+    if plan.spec.has_general_rule:
+        raise SealError(
+            f"{plan.spec.name!r} is an object of format version 2, of which no sealed tests can be made yet; nothing "
+            "was touched"
+        )
     seed = secrets.randbits(SECRET_SEED_BITS)
     settings = SetPlan(plan.spec, plan.images, seed, plan.camera, plan.settings, SPLIT).set_settings
     secret = Secret(settings, plan.images[SPLIT], versions)

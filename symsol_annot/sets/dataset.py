@@ -280,6 +280,8 @@ class Dataset(Closing, Sequence[Sample]):
 
     def _refuse_another_stabiliser(self, shards: list[dict[str, npt.NDArray[Any]]]) -> None:
         """Refuse labels of shards whose images that show the marking have not the same set in all of them."""
+        if getattr(self.manifest.settings, "equality", None) is not None:
+            return  # images that show other parts have other sets
         sets = [shard["symmetry_mask"][shard["marking_visible"]] for shard in shards]
         showing = [number for number, found in enumerate(sets) if len(found)]
         for number in showing[1:]:

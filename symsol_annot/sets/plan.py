@@ -11,6 +11,7 @@ from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations, uniform_rotations
+from symsol_annot.sets.equality import Equality
 from symsol_annot.sets.manifest import Manifest, ShardEntry
 from symsol_annot.sets.settings import ANNOTATE_CHOICES, MAX_SECRET_SEED, RenderedSettings
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, shard_file_name
@@ -73,6 +74,7 @@ class SetPlan:
             camera=self.camera,
             render=self.settings,
             tolerance_px=self.spec.tolerance_px,
+            equality=Equality.for_object(self.spec),
             annotate=self.annotate,
         )
 

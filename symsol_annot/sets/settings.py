@@ -12,6 +12,7 @@ from typing import Any
 
 from symsol_annot.rendering.camera import SIZE_RANGE, Camera
 from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.sets.equality import Equality, equality_from_json
 from symsol_annot.system.text.names import is_object_name
 
 ANNOTATE_CHOICES = ("all", "test", "none")
@@ -25,6 +26,7 @@ _SOURCE_NAME_CHARACTERS = 200
 _UNKNOWN_WHERE_IMPORTED = ("object_sha256", "seed", "render", "tolerance_px")
 _RENDERED_KEYS = {"object", "object_sha256", "seed", "camera", "render", "tolerance_px", "annotate"}
 _IMPORTED_KEYS = {*_RENDERED_KEYS, "source"}
+_EQUALITY = "equality"  # stated of objects of format version 2 alone
 _SEALED_KEYS = {*_RENDERED_KEYS, "commitment"}
 _UNKNOWN_WHERE_SEALED = ("seed", "tolerance_px")
 
@@ -80,6 +82,7 @@ class RenderedSettings(SetSettings):
         camera: what the object is seen through.
         render: how it is drawn.
         tolerance_px: the object's T in pixels; None without a marking.
+        equality: the object's parts, and its rule; None for an object of format version 1.
     """
 
     object_sha256: str
@@ -87,6 +90,7 @@ class RenderedSettings(SetSettings):
     camera: Camera
     render: RenderSettings
     tolerance_px: float | None
+    equality: Equality | None = None
 
     @property
     def image_size(self) -> tuple[int, int]:
@@ -101,6 +105,8 @@ class RenderedSettings(SetSettings):
     @property
     def parts(self) -> tuple[str, ...]:
         """The names of the object's parts, in the order of their ids, the first of id 1."""
+        if self.equality is not None:
+            return self.equality.parts
         return ("body", "marking") if self.has_marking else ("body",)
 
     @property
@@ -110,6 +116,7 @@ class RenderedSettings(SetSettings):
 
     def to_json(self) -> dict[str, Any]:
         """Return the settings as they stand in manifest.json, in the order of its keys."""
+        equality = {} if self.equality is None else {_EQUALITY: self.equality.to_json()}
         return {
             "object": self.object,
             "object_sha256": self.object_sha256,
@@ -117,6 +124,7 @@ class RenderedSettings(SetSettings):
             "camera": self.camera.to_dict(),
             "render": self.render.to_dict(),
             "tolerance_px": self.tolerance_px,
+            **equality,
             "annotate": self.annotate,
         }
 
@@ -259,7 +267,7 @@ def settings_from_json(stated: dict[str, Any]) -> SetSettings:
         SettingsError: a render setting makes no sense.
     """
     made = next((made for mark, made in _MADE_BY_MARK.items() if mark in stated), _rendered)
-    _require(set(stated) == _KEYS[made], "unknown fields")
+    _require(set(stated) - ({_EQUALITY} if made is _rendered else set()) == _KEYS[made], "unknown fields")
     _require(is_object_name(stated["object"]), "object")
     _require(type(stated["annotate"]) is str and stated["annotate"] in ANNOTATE_CHOICES, "annotate")
     camera = stated["camera"]
@@ -301,6 +309,8 @@ def _rendered(stated: dict[str, Any]) -> RenderedSettings:
     tolerance_px = stated["tolerance_px"]
     _require_drawn(stated)
     _require(tolerance_px is None or (_is_real(tolerance_px) and tolerance_px > 0), "tolerance_px")
+    equality = equality_from_json(stated[_EQUALITY]) if _EQUALITY in stated else None
+    _require(equality is None or bool(equality.breaking) == (tolerance_px is not None), "tolerance_px")
     return RenderedSettings(
         object=stated["object"],
         object_sha256=stated["object_sha256"],
@@ -308,6 +318,7 @@ def _rendered(stated: dict[str, Any]) -> RenderedSettings:
         camera=Camera(**stated["camera"]),
         render=RenderSettings.from_dict(stated["render"]),
         tolerance_px=tolerance_px,
+        equality=equality,
         annotate=stated["annotate"],
     )
 

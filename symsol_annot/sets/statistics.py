@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from symsol_annot.rendering.renderer import BODY
 from symsol_annot.sets.manifest import Manifest
 from symsol_annot.sets.membership import checked_shard
+from symsol_annot.sets.shard.reader import Shard, ShardLabels
 
 _FEW_SIZES = 12
 
@@ -22,6 +24,8 @@ class SplitStatistics:
         is_imported: whether only the sets' sizes can be counted.
         images: how many images were counted.
         shown: how many of them show the marking.
+        parts_shown: of an object of format version 2, how many images show each part that breaks its symmetry, by name.
+        sizes_by_parts: of such an object, `set_sizes` by which of these parts an image shows: their names, in order.
         set_sizes: |S|: how many images have a set of this size.
         candidates_drawn: of how many candidates the marking's area was needed.
         candidates_within_tolerance: of how many of these it was below the tolerance but not 0.
@@ -32,6 +36,8 @@ class SplitStatistics:
     is_imported: bool = False
     images: int = 0
     shown: int = 0
+    parts_shown: Counter[str] = field(default_factory=Counter)
+    sizes_by_parts: dict[tuple[str, ...], Counter[int]] = field(default_factory=dict)
     set_sizes: Counter[int] = field(default_factory=Counter)
     candidates_drawn: int = 0
     candidates_within_tolerance: int = 0
@@ -53,9 +59,25 @@ def split_statistics(folder: Path, manifest: Manifest, split: str) -> SplitStati
             statistics.set_sizes.update(labels.symmetry_mask.sum(axis=1).tolist())
         if labels.marking_pixels is not None:
             statistics.shown += int(np.count_nonzero(labels.marking_pixels >= shard.tolerance_px))
+        _count_parts(statistics, shard, labels)
         statistics.candidates_drawn += shard.candidates_drawn
         statistics.candidates_within_tolerance += shard.candidates_within_tolerance
     return statistics
+
+
+def _count_parts(statistics: SplitStatistics, shard: Shard, labels: ShardLabels) -> None:
+    """Count which parts the images of a shard show, and the sizes of their sets by that."""
+    if shard.equality is None or labels.part_pixels is None:
+        return
+    names = [shard.equality.parts[part - BODY] for part in shard.equality.breaking]
+    shows = labels.part_pixels[:, [part - BODY for part in shard.equality.breaking]] >= shard.tolerance_px
+    for name, count in zip(names, shows.sum(axis=0).tolist(), strict=True):
+        statistics.parts_shown[name] += count
+    if labels.symmetry_mask is None:
+        return
+    for row, size in zip(shows, labels.symmetry_mask.sum(axis=1).tolist(), strict=True):
+        shown = tuple(name for name, is_shown in zip(names, row, strict=True) if is_shown)
+        statistics.sizes_by_parts.setdefault(shown, Counter())[size] += 1
 
 
 def sizes_in_words(set_sizes: Counter[int]) -> str:

@@ -22,7 +22,7 @@ def flat_mesh(triangles, corners, marked=False):
     """A mesh that is one flat face: enough for what is done face by face."""
     vertices = np.column_stack([corners, np.zeros(len(corners))])
     normals = np.tile([0.0, 0.0, 1.0], (len(triangles), 3, 1))
-    return Mesh(vertices, np.array(triangles), normals, np.full(len(triangles), marked))
+    return Mesh(vertices, np.array(triangles), normals, np.full(len(triangles), 1 + marked, np.uint8))
 
 
 def fan(corners, middle=(0.0, 0.0)):

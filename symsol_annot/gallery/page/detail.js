@@ -101,9 +101,18 @@ SYMSOL.detail = (() => {
     byId("segmentation").closest("figure").hidden = !set.has_segmentation;
     if (!set.has_segmentation) return;
     byId("segmentation").src = segmentation;
-    const colours = model.table.stratum[id] === NO_MARKING ? "body dark red" : "body dark red, marking pale red";
+    const isPlain = set.parts.every((name) => name === "body" || name === "marking");
+    const named = set.parts.map((name, number) => `${name} ${set.part_colours[number]}`).join(", ");
+    const plain = model.table.stratum[id] === NO_MARKING ? "body dark red" : "body dark red, marking pale red";
+    const colours = isPlain ? plain : named;
     byId("segmentation").alt = `Segmentation of the same image: ${colours}; ${markingOf(id)}`;
     byId("segmentation-caption").textContent = `Segmentation, ${markingOf(id)}`;
+    if (isPlain) return;
+    set.parts.forEach((name, number) => {
+      const legend = make("span", ` \u25a0 ${name}`);
+      legend.style.color = set.part_colours[number];
+      byId("segmentation-caption").append(legend);
+    });
   }
 
   function showFacts(set, row, id) {

@@ -33,7 +33,7 @@ from symsol_annot.rendering.frames.supersampling import (
     refuse_strays,
     segmentation_of,
 )
-from symsol_annot.rendering.renderer import BODY, MARKING, LabelWindow, Scene, View
+from symsol_annot.rendering.renderer import LabelWindow, LitWindow, Scene, View
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.system.closing import Closing
@@ -69,11 +69,15 @@ class OpenGLRenderer(Closing):
         self._per_pixel, self._has_depth = settings.points_per_pixel, settings.depth
         self._engine = engine_named(settings.engine)
         self._lattice = self._camera.lattice(self._n)
-        self._marking_vertices = np.unique(mesh.triangles[mesh.part_ids > BODY])
-        self._marking_triangles = mesh.triangles[mesh.part_ids > BODY]
+        self._marking_triangles = mesh.triangles[mesh.is_marking]
+        self._marking_vertices = np.unique(self._marking_triangles)
+        self._is_breaking = np.isin(np.arange(mesh.parts + 1), mesh.breaking)
+        first = min(mesh.breaking, default=mesh.parts + 1)
+        self._first_breaking = first if self._is_breaking[first:].all() else None  # None: others have higher ids
         size = (self._camera.height, self._camera.width, 3)
         self._blank = np.broadcast_to(srgb_bytes(np.array(settings.background_colour)), size).copy()
-        self._colours = lanes_of(_colour_table(scene))
+        self._table = _colour_table(scene)
+        self._colours = lanes_of(self._table)
         self._canvas = _Canvas(self._lattice)
         self._lit, self._labelled = _LitShape(scene), _LabelledShape(scene)
         self.render(np.eye(3))  # compiles the shaders: it fails here or not at all
@@ -108,7 +112,10 @@ class OpenGLRenderer(Closing):
         counts = np.zeros(len(R_m2c))
         if self._marking_triangles.size:
             for i, words, _ in self._around_the_marking(R_m2c, only_drawn=True):
-                counts[i] = np.count_nonzero(words >= np.uint32(MARKING << 16))
+                if self._first_breaking is None:
+                    counts[i] = np.count_nonzero(self._is_breaking.take(words >> np.uint32(16)))
+                else:
+                    counts[i] = np.count_nonzero(words >= np.uint32(self._first_breaking << 16))
         return counts / self._per_pixel
 
     def label_windows(self, R_m2c: Rotations) -> list[LabelWindow]:
@@ -117,15 +124,25 @@ class OpenGLRenderer(Closing):
             raise RenderError("an object without a marking has nothing to compare")
         return [LabelWindow(window, _ids_in(words)) for _, words, window in self._around_the_marking(R_m2c)]
 
+    def lit_windows(self, R_m2c: Rotations) -> list[LitWindow]:
+        """Return what lies around the marking under each rotation, and its colours."""
+        if not self._marking_triangles.size:
+            raise RenderError("an object without a marking has nothing to compare")
+        drawn = self._around_the_marking(R_m2c, lit=True)
+        return [LitWindow(window, _ids_in(words), self._table.take(words, axis=0)) for _, words, window in drawn]
+
     def close(self) -> None:
         """Nothing is held that does not end with the process."""
 
-    def _around_the_marking(self, R_m2c: Rotations, *, only_drawn: bool = False) -> Iterator[tuple[int, Words, Window]]:
+    def _around_the_marking(
+        self, R_m2c: Rotations, *, only_drawn: bool = False, lit: bool = False
+    ) -> Iterator[tuple[int, Words, Window]]:
         """Yield the number of each rotation, and the words of the window around the marking's vertices, shown or not.
 
         Args:
             R_m2c: (n, 3, 3).
             only_drawn: whether rotations are left out under which no triangle of the marking faces the camera.
+            lit: whether the words tell the light as well; else it is 0.
         """
         for start in range(0, len(R_m2c), _AT_ONCE):
             points, z = projected(self._mesh.vertices, R_m2c[start : start + _AT_ONCE], self._lattice)
@@ -134,7 +151,9 @@ class OpenGLRenderer(Closing):
             is_drawn = (doubled_areas(points, self._marking_triangles) < 0).any(axis=1) | (not only_drawn)
             with self._canvas.bound():
                 for i in np.flatnonzero(is_drawn).tolist():
-                    words, _ = self._canvas.draw(self._labelled.batch(places[i]), windows[i])
+                    R = R_m2c[start + i]
+                    batch = self._lit.batch(places[i], R) if lit else self._labelled.batch(places[i])
+                    words, _ = self._canvas.draw(batch, windows[i])
                     refuse_strays(int(words.max()) >> 16, self._parts)
                     yield start + i, words, windows[i]
 

@@ -26,7 +26,7 @@ from symsol_annot.rendering.frames.supersampling import (
     refuse_strays,
     segmentation_of,
 )
-from symsol_annot.rendering.renderer import MARKING, LabelWindow, Scene, View
+from symsol_annot.rendering.renderer import LabelWindow, LitWindow, Scene, View
 from symsol_annot.rendering.windows import Window
 from symsol_annot.rotations.so3 import Rotations, rotation_to_quat_wxyz
 from symsol_annot.system.closing import Closing
@@ -86,7 +86,7 @@ class PipelineRenderer(Closing):
         """Count the lattice points on the marking, under each rotation in the window that its vertices span."""
         if not len(self._mesh.marking_vertices):
             return np.zeros(len(R_m2c))
-        counts = [np.count_nonzero(labels.ids >= MARKING) for labels in self.label_windows(R_m2c)]
+        counts = [np.count_nonzero(np.isin(labels.ids, self._mesh.breaking)) for labels in self.label_windows(R_m2c)]
         return np.array(counts, dtype=np.float64) / self._points_per_pixel
 
     def label_windows(self, R_m2c: Rotations) -> list[LabelWindow]:
@@ -101,6 +101,15 @@ class PipelineRenderer(Closing):
             ids = self._draw(counted)[..., 0]
             refuse_strays(int(ids.max()), self._mesh.parts)
             found.append(LabelWindow(counted.lattice(self._n), ids))
+        return found
+
+    def lit_windows(self, R_m2c: Rotations) -> list[LitWindow]:
+        """Return what lies around the marking under each rotation, and its colours."""
+        found = []
+        for R, labels in zip(R_m2c, self.label_windows(R_m2c), strict=True):
+            self._object.rotation_quaternion = rotation_to_quat_wxyz(R)
+            self._paint(self._light.colours(R), self._background_colour)
+            found.append(LitWindow(labels.window, labels.ids, self._draw(self._windows(R)[1])))
         return found
 
     def close(self) -> None:

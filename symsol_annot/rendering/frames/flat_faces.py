@@ -22,8 +22,8 @@ _CONVEX = 1e-9  # twice the least area of three corners in a row
 def with_few_slivers(mesh: Mesh) -> Mesh:
     """Return a mesh with the same surface and the same corners of every flat face, of which the body's are cut anew.
 
-    A face is cut where its boundary is one strictly convex polygon; vertices inside it are used no more. Markings stay
-    as they are: their triangles are what `annotation.visibility` reasons about.
+    A face is cut where its boundary is one strictly convex polygon; vertices inside it are used no more. Other parts
+    stay as they are: a marking's triangles are what `annotation.visibility` reasons about.
     """
     kept = np.ones(len(mesh.triangles), bool)
     triangles, normals = [], []
@@ -39,7 +39,8 @@ def with_few_slivers(mesh: Mesh) -> Mesh:
         mesh.vertices,
         np.concatenate([mesh.triangles[kept], *triangles]),
         np.concatenate([mesh.corner_normals[kept], *normals]),
-        np.concatenate([mesh.is_marking[kept], *(np.zeros(len(cut), bool) for cut in triangles)]),
+        np.concatenate([mesh.part_ids[kept], *(np.full(len(cut), BODY, np.uint8) for cut in triangles)]),
+        mesh.breaking,
     )
 
 

@@ -13,7 +13,7 @@ from symsol_annot.sets.settings import (
     SetSettings,
     seed_to_json,
 )
-from symsol_annot.sets.shard.layout import FROM_SECRET, LAYOUTS, NEWEST, PARTS, RENDERED
+from symsol_annot.sets.shard.layout import EQUALITY, FROM_SECRET, LAYOUTS, NEWEST, PARTS, RENDERED
 
 SHARD_FORMAT = "symsol-annot shard"
 MAX_IMAGES_PER_SHARD = 500
@@ -62,7 +62,8 @@ class ShardHeader:
             "tolerance_px": math.nan if settings.tolerance_px is None else settings.tolerance_px,
         }
         parts = {PARTS: json.dumps(settings.parts)} if LAYOUTS[self.format_version].has_parts else {}
-        return {**start, "object_sha256": settings.object_sha256, **place, **drawing, **parts, **versions}
+        equality = {} if settings.equality is None else {EQUALITY: settings.equality.to_text()}
+        return {**start, "object_sha256": settings.object_sha256, **place, **drawing, **parts, **equality, **versions}
 
 
 def shard_file_name(split: str, number: int, shards: int) -> str:

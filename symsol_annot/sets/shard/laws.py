@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import first_of
-from symsol_annot.rendering.renderer import MARKING
+from symsol_annot.rendering.renderer import BODY, MARKING
 from symsol_annot.rotations.group_laws import check_group, right_products
 from symsol_annot.rotations.so3 import ORTHONORMAL_TOLERANCE, rotation_deviation
+from symsol_annot.sets.equality import Equality
 from symsol_annot.sets.shard.reader import Shard, ShardLabels
 
 Flags = npt.NDArray[np.bool_]
@@ -48,16 +49,22 @@ def label_faults(shard: Shard, labels: ShardLabels) -> Iterator[str]:
     if not has_own.all():
         yield f"symmetry_mask: {images(~has_own)}: the set lacks R_gt, the image's own rotation"
     elif not faults:
-        yield from _mask_faults(labels, labels.symmetry_mask, shard.tolerance_px, tolerance, images)
+        if shard.equality is not None:
+            yield from _closure_faults(labels, labels.symmetry_mask, shard.equality, tolerance, images)
+        else:
+            yield from _mask_faults(labels, labels.symmetry_mask, shard.tolerance_px, tolerance, images)
 
 
 def stabiliser_of(shard: Shard, labels: ShardLabels) -> Flags | None:
     """Return which (G,) symmetries map the marking onto itself: the one set of all images that show it.
 
     Returns:
-        None where no image shows a marking, no image has a set, or those that show it differ, which is a fault.
+        None where no image shows a marking, no image has a set, or those that show it differ, which is a fault; and for
+        an object of format version 2, whose images that show a part can have different sets.
     """
     if labels.symmetry_mask is None or labels.marking_pixels is None or math.isnan(shard.tolerance_px):
+        return None
+    if shard.equality is not None:
         return None
     sets = labels.symmetry_mask[labels.marking_pixels >= shard.tolerance_px]
     return sets[0] if len(sets) and (sets == sets[0]).all() else None
@@ -79,9 +86,38 @@ def _area_faults(shard: Shard, labels: ShardLabels, images: Images) -> Iterator[
     too_large = parts.sum(axis=1, dtype=np.float64) > shard.most_pixels * (1 + _ROUNDING)
     if too_large.any():
         yield f"part_pixels: {images(too_large)}: is more than the {shard.most_pixels:g} pixels of an image"
+    if shard.equality is not None:
+        breaking = np.array(shard.equality.breaking, dtype=int) - BODY
+        other = (marking >= 0) & (marking != parts[:, breaking].max(axis=1, initial=0.0))
+        if other.any():
+            what = "is not the largest of part_pixels of the parts that break the symmetry"
+            yield f"marking_pixels: {images(other)}: {what}"
+        return
     too_small = (marking >= 0) & (marking < parts[:, MARKING - 1]) if parts.shape[1] >= MARKING else np.zeros(0, bool)
     if too_small.any():
         yield f"marking_pixels: {images(too_small)}: is less than the marking's part_pixels"
+
+
+def _closure_faults(
+    labels: ShardLabels, mask: Flags, equality: Equality, product_tolerance: float, images: Images
+) -> Iterator[str]:
+    """Yield why sets, each with its R_gt, are not the general rule's: with a member, what is certified alike."""
+    stabiliser = np.array(equality.stabiliser)
+    if stabiliser[-1] >= len(labels.symmetry_group):
+        yield f"equality: the stabiliser has symmetry {stabiliser[-1]} of {len(labels.symmetry_group)}"
+        return
+    check = check_group(labels.symmetry_group[stabiliser], product_tolerance)
+    if check.faults:
+        yield f"equality: the stabiliser: {check.faults[0]}"
+        return
+    for generator in stabiliser[check.generators]:
+        torn = (mask[:, right_products(labels.symmetry_group, int(generator))] != mask).any(axis=1)
+        if torn.any():
+            yield (
+                f"symmetry_mask: {images(torn)}: the set lacks a rotation that differs from a member by one that maps "
+                "each part onto itself"
+            )
+            return
 
 
 def _mask_faults(

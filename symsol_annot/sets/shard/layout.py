@@ -7,6 +7,7 @@ from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 PARTS = "parts"
+EQUALITY = "equality"  # of objects with parts of any kind; sets of others lack it
 GROUP, GROUP_SHA256 = "symmetry_group", "symmetry_group_sha256"  # an attribute has no checksum of its own
 _COMMON_ATTRIBUTES = {
     "format": "text",
@@ -113,6 +114,10 @@ class ShardLayout:
         parts = {PARTS: "text"} if self.has_parts and kind.mark in _WITH_MAPS else {}
         return {**self.common, **kind.attributes, **parts}
 
+    def optional_attributes(self, kind: ShardKind) -> dict[str, str]:
+        """Return the attributes that a shard may have beside `attribute_kinds`, to their kinds."""
+        return {EQUALITY: "text"} if self.has_parts and kind.mark in _WITH_MAPS else {}
+
     def columns_of(self, kind: ShardKind) -> tuple[Column, ...]:
         """Return the data sets that a shard has or, where they are optional, may have."""
         return tuple(column for column in self.columns if kind.mark in column.kinds)
@@ -148,5 +153,5 @@ ALL_ATTRIBUTES = {
     name: kind_of_value
     for layout in LAYOUTS.values()
     for kind in layout.kinds
-    for name, kind_of_value in layout.attribute_kinds(kind).items()
+    for name, kind_of_value in {**layout.attribute_kinds(kind), **layout.optional_attributes(kind)}.items()
 }

@@ -24,9 +24,19 @@ from symsol_annot.errors import DamageError, DataError, bulleted
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import SAMPLES_PER_AXIS
 from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.equality import Equality, equality_stated
 from symsol_annot.sets.shard.chunks import ByteFile, StoredArray
 from symsol_annot.sets.shard.header import content_heading
-from symsol_annot.sets.shard.layout import ALL_ATTRIBUTES, GROUP, IMPORTED, LAYOUTS, PARTS, ShardKind, ShardLayout
+from symsol_annot.sets.shard.layout import (
+    ALL_ATTRIBUTES,
+    EQUALITY,
+    GROUP,
+    IMPORTED,
+    LAYOUTS,
+    PARTS,
+    ShardKind,
+    ShardLayout,
+)
 from symsol_annot.sets.shard.structure import parts_stated, shown, structure_of
 from symsol_annot.system.sandbox.hdf5_process import Description, Hdf5Process, Limits
 
@@ -120,6 +130,12 @@ class Shard:
         if self.layout.has_parts:
             return parts_stated(self.attributes[PARTS])
         return ("body",) if math.isnan(self.tolerance_px) else ("body", "marking")
+
+    @property
+    def equality(self) -> Equality | None:
+        """The object's parts, and its rule; None for an object of format version 1."""
+        text = self.attributes.get(EQUALITY)
+        return None if text is None else equality_stated(text)
 
     @property
     def most_pixels(self) -> float:

@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.spec import MAX_GROUP_ORDER
+from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
+from symsol_annot.objects.parts import MAX_PARTS
 from symsol_annot.rendering.camera import SIZE_RANGE
+from symsol_annot.sets.equality import equality_stated
 from symsol_annot.sets.shard.chunks import DEFLATE, FLETCHER32, Place, StoredArray, largest_chunk
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, SHARD_FORMAT
 from symsol_annot.sets.shard.layout import (
+    EQUALITY,
     GROUP,
     GROUP_SHA256,
     LAYOUTS,
@@ -30,7 +33,6 @@ from symsol_annot.sets.shard.layout import (
 from symsol_annot.system.sandbox.hdf5_process import DatasetFacts, Description
 
 MAX_SYMMETRIES = 2 * MAX_GROUP_ORDER
-MAX_PARTS = 255  # their ids are bytes, and 0 is the background's
 _FILTERS = (DEFLATE, FLETCHER32)
 _IN_WORDS = {"text": "a string", "whole": "a whole number", "real": "a number", "array": "an array"}
 _SHOWN_CHARACTERS = 80
@@ -105,7 +107,7 @@ def _format_faults(described: Description) -> list[str]:
 
 
 def _attribute_faults(described: Description, layout: ShardLayout, kind: ShardKind) -> list[str]:
-    expected = layout.attribute_kinds(kind)
+    expected, optional = layout.attribute_kinds(kind), layout.optional_attributes(kind)
     whose = f"format version {layout.version}" if kind is RENDERED else kind.title
     odd, arrays = described.odd_attributes, described.arrays
     found = {**described.attributes, **arrays}
@@ -114,22 +116,30 @@ def _attribute_faults(described: Description, layout: ShardLayout, kind: ShardKi
         for name, value in expected.items()
         if name not in found
     ]
-    faults += [f"attribute {shown(name)} is not part of {whose}" for name in (*found, *odd) if name not in expected]
+    known = {*expected, *optional}
+    faults += [f"attribute {shown(name)} is not part of {whose}" for name in (*found, *odd) if name not in known]
+    faults += [f"attribute {name!r} is {odd[name]}, where a string belongs" for name in optional if name in odd]
     if faults:
         return faults
     if PARTS in expected:
-        faults += _parts_faults(described.attributes[PARTS])
+        faults += _parts_faults(described.attributes[PARTS], described.attributes.get(EQUALITY))
     if layout.has_group_attribute:
         faults += _group_faults(arrays[GROUP], described.attributes[GROUP_SHA256])
     return faults + _camera_faults(described.attributes["camera"])
 
 
-def _parts_faults(text: str) -> list[str]:
+def _parts_faults(text: str, equality: str | None) -> list[str]:
     try:
-        parts_stated(text)
+        names = parts_stated(text)
     except ValueError as error:
         return [f"attribute 'parts': {error}"]
-    return []
+    if equality is None:
+        return []
+    try:
+        stated = equality_stated(equality)
+    except ValueError as error:
+        return [f"attribute {error}"]
+    return [] if stated.parts == names else ["attribute 'equality' is of other parts than the attribute 'parts' names"]
 
 
 def _group_faults(group: npt.NDArray[Any], sha256: str) -> list[str]:

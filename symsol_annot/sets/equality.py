@@ -1,0 +1,91 @@
+"""What a set states of an object with parts: their names and colours, which break the body's symmetry, what is left."""
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
+from symsol_annot.objects.mesh import BODY_ID
+from symsol_annot.objects.parts import MAX_PARTS, Colour
+from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.rotations.groups import nearest_element
+from symsol_annot.system.text.names import is_object_name
+
+_KEYS = ("parts", "colours", "breaking", "stabiliser")
+
+
+@dataclass(frozen=True)
+class Equality:
+    """The rule by which images of an object of format version 2 are the same; with T, all that it needs.
+
+    Attributes:
+        parts: their names in the order of their ids, the body first, whose id is 1.
+        colours: linear RGB of each.
+        breaking: the ids of those that break the body's symmetry, ascending.
+        stabiliser: indices of the rotations of the symmetry group that map each part onto itself, ascending.
+    """
+
+    parts: tuple[str, ...]
+    colours: tuple[Colour, ...]
+    breaking: tuple[int, ...]
+    stabiliser: tuple[int, ...]
+
+    @classmethod
+    def for_object(cls, spec: ObjectSpec) -> "Equality | None":
+        """Return what a set of an object states; None for an object of format version 1."""
+        if not spec.has_general_rule:
+            return None
+        stabiliser = sorted(nearest_element(spec.symmetry_group, spec.stabiliser).tolist())
+        names, colours = tuple(part.name for part in spec.parts), tuple(part.colour for part in spec.parts)
+        return cls(names, colours, spec.mesh.breaking, tuple(stabiliser))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as it stands in manifest.json and in the attributes of a shard."""
+        return {key: [list(v) if isinstance(v, tuple) else v for v in getattr(self, key)] for key in _KEYS}
+
+    def to_text(self) -> str:
+        """Return it as the attribute of a shard."""
+        return json.dumps(self.to_json())
+
+
+def equality_from_json(stated: Any) -> Equality:
+    """Return what `to_json` gave.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if type(stated) is not dict or set(stated) != set(_KEYS) or not all(type(stated[key]) is list for key in _KEYS):
+        raise ValueError(f"equality: expected the lists {', '.join(_KEYS)}")
+    names, colours, breaking, stabiliser = (stated[key] for key in _KEYS)
+    are_names = all(is_object_name(name) for name in names) and len(set(names)) == len(names)
+    if not are_names or not 1 <= len(names) <= MAX_PARTS:
+        raise ValueError(f"equality: expected 1 to {MAX_PARTS} names of parts, each another one")
+    if len(colours) != len(names) or not all(_is_colour(colour) for colour in colours):
+        raise ValueError("equality: expected three numbers from 0 to 1 as the colour of each part")
+    if not _is_ascending(breaking, BODY_ID, len(names)) or not _is_ascending(stabiliser, 0, 2 * MAX_GROUP_ORDER):
+        raise ValueError("equality: expected ascending ids of parts, and ascending indices of symmetries")
+    if stabiliser[:1] != [0]:
+        raise ValueError("equality: the stabiliser lacks the identity, whose index is 0")
+    return Equality(tuple(names), tuple((r, g, b) for r, g, b in colours), tuple(breaking), tuple(stabiliser))
+
+
+def equality_stated(text: str) -> Equality:
+    """Return what `Equality.to_text` gave.
+
+    Raises:
+        ValueError: it is none.
+    """
+    try:
+        stated = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ValueError("equality: is no JSON") from None
+    return equality_from_json(stated)
+
+
+def _is_colour(value: Any) -> bool:
+    return type(value) is list and len(value) == 3 and all(type(x) is float and 0.0 <= x <= 1.0 for x in value)
+
+
+def _is_ascending(values: list[Any], least: int, most: int) -> bool:
+    are_whole = all(type(value) is int and least <= value <= most for value in values)
+    return are_whole and sorted(set(values)) == values
