@@ -171,6 +171,10 @@ class Unpictured(Closing):
         """Return what lies around the marking under each of (n, 3, 3) rotations, as Blender draws it."""
         return self._renderer.label_windows(R_m2c)
 
+    def lit_windows(self, R_m2c):
+        """Return what `label_windows` does, and the colour at each point, as Blender draws it."""
+        return self._renderer.lit_windows(R_m2c)
+
     def close(self):
         """End Blender's process."""
         self._renderer.close()

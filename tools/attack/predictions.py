@@ -50,8 +50,8 @@ class Predictions(Kind):
             scored = score(found)
             document = report.to_document([scored])
         report.to_json(document).encode()
-        tables = tables.tables(document)
-        if not all(line.isprintable() for line in tables.split("\n")):
+        printed = tables.tables(document)
+        if not all(line.isprintable() for line in printed.split("\n")):
             raise laws.SilentError("tables with what a terminal would obey")
         for track in scored.tracks.values():
             for name, figure in track.figures["all"].items():
