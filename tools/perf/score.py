@@ -55,6 +55,9 @@ class FacingRenderer:
     def label_windows(self, R_m2c):
         raise NotImplementedError("nothing is drawn")
 
+    def lit_windows(self, R_m2c):
+        raise NotImplementedError("nothing is drawn")
+
     def marking_pixels(self, R_m2c):
         return 100.0 * (((self._camera - R_m2c @ self._middle) * (R_m2c @ self._normal)).sum(axis=1) > 0)
 
