@@ -20,7 +20,13 @@ from symsol_annot.sets.dataset import load
 )
 @click.argument("path", metavar="CSV", type=click.Path(path_type=Path))
 @click.option("--data", type=click.Path(path_type=Path), required=True, help="Folder of the set that was exported.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("preds.h5"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("preds.h5"),
+    show_default=True,
+    help="The predictions file.",
+)
 @SPLIT
 @click.option("--obj-id", type=click.IntRange(min=1), default=1, show_default=True, help="Id of the object in the CSV.")
 @click.option(

@@ -16,7 +16,13 @@ from symsol_annot.sets import dataset
 
 @click.command(epilog=example("symsol-annot retrieve data/cylO --out preds.h5"))
 @SET_FOLDER
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("preds.h5"), show_default=True)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("preds.h5"),
+    show_default=True,
+    help="The predictions file.",
+)
 @click.option(
     "--views",
     type=click.Path(path_type=Path),

@@ -70,7 +70,7 @@ def test_a_page_runs_word_for_word_in_an_empty_folder(page, tmp_path, monkeypatc
     names, printed = {}, ""
     for language, title, text in blocks:
         if title:
-            Path(title).parent.mkdir(exist_ok=True)
+            Path(title).parent.mkdir(parents=True, exist_ok=True)
             Path(title).write_text(text)
         elif language == "text":
             assert shows(text, printed), f"{page} shows\n{text}\nand this was printed:\n{printed}"

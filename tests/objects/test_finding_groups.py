@@ -6,12 +6,12 @@ from asset_geometry import GROUPS
 from made_solids import SOLIDS, noisy, remeshed, surface_of, turned
 
 from symsol_annot.errors import ObjectError
-from symsol_annot.objects.check import distance_to_triangles
 from symsol_annot.objects.finding.find import find_group, generators_of
 from symsol_annot.objects.finding.found import Group
 from symsol_annot.objects.finding.surface import surface_of_mesh
 from symsol_annot.objects.finding.symmetries import find_symmetries
 from symsol_annot.objects.spec import load_object
+from symsol_annot.objects.surface import distance_to_triangles
 from symsol_annot.rotations.so3 import uniform_rotations
 
 FEW = [name for name, (solid, _) in SOLIDS.items() if len(solid[1]) < 140]

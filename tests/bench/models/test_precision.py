@@ -12,7 +12,7 @@ from symsol_annot.bench.models import devices
 from symsol_annot.bench.models.inference import predict
 from symsol_annot.bench.models.methods.classifier.method import ClassifierLearner
 from symsol_annot.bench.models.methods.hypotheses.method import HypothesisLearner
-from symsol_annot.bench.models.training import loop
+from symsol_annot.bench.models.training import loop, refusals
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint, read_record
 from symsol_annot.bench.models.training.loop import train
 from symsol_annot.bench.models.weights.state_dicts import read_weights
@@ -35,7 +35,7 @@ def _as_on_a_gpu():
         return model.to(device, memory_format=torch.channels_last)
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (devices, loop):
+        for module in (devices, refusals):
             patch.setattr(module, "has_bfloat16", lambda _: True)
         patch.setattr(loop, "laid_out_for", laid_out_for)
         patch.setattr(loop, "plot_curve", lambda *_: None)

@@ -20,7 +20,7 @@ from symsol_annot.bench.models.retrieval.view_density import (
     weights_of,
 )
 from symsol_annot.bench.models.retrieval.view_index import NearViews, ViewIndex
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import DataError, SettingsError
 from symsol_annot.rotations.grid import GridIndex
@@ -162,7 +162,7 @@ def test_the_file_holds_what_the_nearest_views_say(folder, train, tmp_path):
             listed = ~np.isnan(log_cells)
             np.testing.assert_allclose(log_cells[listed], expected[listed], atol=1e-5)
     document = report.to_document([score_file(tmp_path / "preds.h5", test.folder)])
-    assert "tetX" in report.tables(document)
+    assert "tetX" in tables.tables(document)
 
 
 def test_the_same_call_goes_on_with_what_is_left(folder, train, tmp_path, monkeypatch):
