@@ -126,10 +126,10 @@ def left_cosets(group: Rotations, subgroup: Rotations) -> npt.NDArray[np.intp]:
     Raises:
         RotationError: the subgroup's products leave the group.
     """
-    unseen = np.ones(len(group), dtype=bool)
-    products, cosets = nearest_element(group, group[:, None] @ subgroup), []
-    for members in products:
-        if unseen[members[0]]:
+    unseen, cosets = np.ones(len(group), dtype=bool), []
+    for first in range(len(group)):
+        if unseen[first]:
+            members = nearest_element(group, group[first] @ subgroup)
             unseen[members] = False
             cosets.append(members)
     return np.stack(cosets)
