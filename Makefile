@@ -15,8 +15,8 @@ demo: $(INSTALLED)  ## render, annotate, verify, score and draw a small set of t
 	$(BIN)/symsol-annot verify data --audit 2
 	$(BIN)/symsol-annot reference data/cylO data/tetX --row evenly-placed --out data/reference
 	@echo "Pictures to look at:"
-	@$(BIN)/symsol-annot plot images data/cylO
-	@$(BIN)/symsol-annot plot images data/tetX
+	@$(BIN)/symsol-annot plot images data/cylO --out data/cylO-test.png
+	@$(BIN)/symsol-annot plot images data/tetX --out data/tetX-test.png
 
 test: lint  ## every check, with all its set-up: what CI runs
 	$(BIN)/pytest -n $(TEST_WORKERS) --dist loadfile
