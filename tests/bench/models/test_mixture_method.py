@@ -13,7 +13,7 @@ from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.calibration import climb
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import Densities
+from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, Densities
 from symsol_annot.bench.models.methods.mixture.method import METHOD, heads_of
 from symsol_annot.bench.models.training import loop
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint
@@ -79,6 +79,21 @@ def test_cells_hold_the_density_averaged_over_them(structure):
     at_middles = found.log_density(grid_of(LEVEL).rotations).exp()
     close, closest = (np.corrcoef(of, averages)[0, 1] for of in (at_middles, of_cells))
     assert closest > max(0.9, close)
+
+
+@pytest.mark.parametrize("narrower", [0.0, 3.0])
+@torch.no_grad()
+def test_cells_that_a_file_lists_hold_the_whole_mixture_of_broad_and_narrow_components(narrower):
+    found, _ = density("free", narrower=narrower)
+    grid = grid_of(LEVEL)
+    roots = found.mixture.roots.clone()
+    roots[:, 0] /= 40.0  # one of the components is broad
+    found.__dict__["mixture"] = replace(found.mixture, roots=roots)
+    whole = found.mixture.blurred(grid.blur_rad).log_density(grid.rotations)[0]
+    of_cells = found.on_cells(grid)
+    listed = whole > np.log(LEAST_CELL * len(grid))
+    assert listed.any()
+    assert torch.allclose(of_cells[listed].exp(), whole[listed].exp(), rtol=0.05, atol=1e-3)
 
 
 @pytest.mark.parametrize("structure", ["group", "circle", "marked-circle"])
