@@ -4,7 +4,7 @@ from functools import partial
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import SET_FOLDER, NearChoice, ObjectType, example, progress_bar
+from symsol_annot_cli.parameters import SET_FOLDER, SHOWN_PREDICTIONS, SHOWN_SPLITS, ObjectType, example, progress_bar
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.gallery.redrawn import Redrawer
@@ -13,21 +13,13 @@ from symsol_annot.gallery.sources import open_sources
 from symsol_annot.gallery.writing import write_gallery
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.system.machine import check_extra
-from symsol_annot.system.text.names import SPLITS
 
 
 @click.command(
     epilog=example("symsol-annot gallery data", "symsol-annot gallery data/cylO --predictions preds.h5 --out gallery")
 )
 @SET_FOLDER
-@click.option(
-    "--predictions",
-    "paths",
-    metavar="PREDS.H5",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    help="Predictions to show over the truth, worst first; may be repeated.",
-)
+@SHOWN_PREDICTIONS
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -35,15 +27,7 @@ from symsol_annot.system.text.names import SPLITS
     show_default=True,
     help="The folder of the pages.",
 )
-@click.option(
-    "--split",
-    "splits",
-    type=NearChoice(SPLITS),
-    multiple=True,
-    default=("test",),
-    show_default=True,
-    help="Which images of a set are shown; may be repeated.",
-)
+@SHOWN_SPLITS
 @click.option("--limit", metavar="N", type=click.IntRange(min=1), help="Only the first N images of a split.  [all]")
 @click.option(
     "--redrawn",

@@ -75,6 +75,23 @@ DECIMALS = click.option(
     type=click.IntRange(LEAST_DECIMALS, MOST_DECIMALS),
     help="Round each image's figures in scores.json to so many decimals, for a smaller file.  [default: 12 digits]",
 )
+SHOWN_PREDICTIONS = click.option(
+    "--predictions",
+    "paths",
+    metavar="PREDS.H5",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Predictions to show over the truth, worst first; may be repeated.",
+)
+SHOWN_SPLITS = click.option(
+    "--split",
+    "splits",
+    type=NearChoice(SPLITS),
+    multiple=True,
+    default=("test",),
+    show_default=True,
+    help="Which images of a set are shown; may be repeated.",
+)
 PREDICTIONS = click.argument("paths", metavar="PREDS.H5...", nargs=-1, required=True, type=click.Path(path_type=Path))
 DATA = click.option(
     "--data",

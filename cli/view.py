@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import NearChoice, example, progress_bar
+from symsol_annot_cli.parameters import SHOWN_PREDICTIONS, SHOWN_SPLITS, example, progress_bar
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.gallery.redrawn import Redrawer
@@ -16,28 +16,12 @@ from symsol_annot.gallery.sources import open_sources
 from symsol_annot.gallery.writing import write_gallery
 from symsol_annot.system.machine import check_extra
 from symsol_annot.system.scratch import Scratch, sweep, temporary_errors
-from symsol_annot.system.text.names import SPLITS
 
 
 @click.command(epilog=example("symsol-annot view data/cylO", "symsol-annot view gallery --port 8000"))
 @click.argument("folder", metavar="DATA", type=click.Path(path_type=Path))
-@click.option(
-    "--predictions",
-    "paths",
-    metavar="PREDS.H5",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    help="Predictions to show over the truth, worst first; may be repeated.",
-)
-@click.option(
-    "--split",
-    "splits",
-    type=NearChoice(SPLITS),
-    multiple=True,
-    default=("test",),
-    show_default=True,
-    help="Which images of a set are shown; may be repeated.",
-)
+@SHOWN_PREDICTIONS
+@SHOWN_SPLITS
 @click.option(
     "--limit",
     metavar="N",
