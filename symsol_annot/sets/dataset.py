@@ -200,11 +200,6 @@ class Dataset(Closing, Sequence[Sample]):
         return str(self.manifest.split_fingerprint(self.split))
 
     @property
-    def rows(self) -> range:
-        """Which images of the split these are: all, or those of a slice."""
-        return self._rows
-
-    @property
     def symmetry_group(self) -> Rotations:
         """The (G, 3, 3) symmetries of the object's body, identity first."""
         return self._opened(0)[0].symmetry_group
