@@ -16,11 +16,12 @@ import roma
 import torch
 from torch import Tensor
 
-from symsol_annot.bench.models.batches import Batch, decode_images
+from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.devices import backbone_precision
 from symsol_annot.bench.models.methods.classifier.negatives import random_rotations
 from symsol_annot.bench.models.methods.diffusion.heat_kernel import LEAST_RAD, MOST_RAD, HeatKernel
 from symsol_annot.bench.models.methods.diffusion.recipe import DiffusionRecipe
+from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
@@ -37,7 +38,6 @@ from symsol_annot.sets.dataset import Dataset, Labels
 HYPOTHESES = 30
 _EVALUATED, _CALIBRATED = 128, 256  # images
 _EMBEDDED_AT_ONCE, _SAMPLED_AT_ONCE = 64, 16  # images
-_BLOCK = 512  # images decoded at once
 _DEVIATIONS_RAD, _UNIFORM_SHARES = np.geomspace(0.01, 0.5, 16), (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 
 
@@ -173,15 +173,11 @@ def _samples_by_index(
     model: ScoreNetwork, recipe: DiffusionRecipe, dataset: Dataset
 ) -> Callable[[int], npt.NDArray[np.float64]]:
     """Return a callable from an image's index to its samples (n, 3, 3); it is quick for one image after another."""
-
-    @lru_cache(maxsize=1)
-    def embeddings_in(block: int) -> Tensor:
-        images = decode_images(dataset[block * _BLOCK : (block + 1) * _BLOCK], recipe.input_size).images
-        return embeddings_of(model, images, _EMBEDDED_AT_ONCE)
+    embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _EMBEDDED_AT_ONCE)
 
     @lru_cache(maxsize=2)
     def samples_in(part: int) -> npt.NDArray[np.float64]:
-        block, rest = divmod(part * _SAMPLED_AT_ONCE, _BLOCK)
+        block, rest = divmod(part * _SAMPLED_AT_ONCE, BLOCK)
         embeddings = embeddings_in(block)[rest : rest + _SAMPLED_AT_ONCE]
         rng = torch.Generator(model.device).manual_seed(part)
         return next(_drawn(model, embeddings, recipe.samples, recipe.steps, rng))

@@ -10,9 +10,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from symsol_annot.bench.models.batches import Batch, decode_images
+from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.devices import backbone_precision
 from symsol_annot.bench.models.methods.classifier.negatives import random_rotations
+from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRecipe
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.networks.answers import embeddings_of, logits_at
@@ -25,7 +26,7 @@ from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset, Labels
 
 _EVALUATED, _EVALUATION_LEVEL = 128, 3  # images, level of the grid: of a softmax that R_gt is added to
-_EMBEDDED_AT_ONCE, _BLOCK = 64, 512  # images
+_EMBEDDED_AT_ONCE = 64  # images
 _SHARES_AT_ONCE = 2**15  # rotations
 _FLOOR = 1e-9  # of a cell's probability: a file of 5,000 images stays small
 
@@ -99,11 +100,7 @@ def _log_densities_by_index(
     model: RotationClassifier, recipe: ImplicitPdfRecipe, dataset: Dataset, level: int
 ) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
     """Return a callable from an image's index, and the whole grid, to logits (N,): log-densities up to a constant."""
-
-    @lru_cache(maxsize=1)
-    def embeddings_in(block: int) -> Tensor:
-        images = decode_images(dataset[block * _BLOCK : (block + 1) * _BLOCK], recipe.input_size).images
-        return embeddings_of(model, images, _EMBEDDED_AT_ONCE)
+    embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _EMBEDDED_AT_ONCE)
 
     @lru_cache(maxsize=1)
     @torch.no_grad()
@@ -112,7 +109,7 @@ def _log_densities_by_index(
         return torch.cat([model.shares(part) for part in torch.split(grid, _SHARES_AT_ONCE)])
 
     def log_density(i: int, _: Rotations) -> npt.NDArray[np.float32]:
-        embedding = embeddings_in(i // _BLOCK)[i % _BLOCK]
+        embedding = embeddings_in(i // BLOCK)[i % BLOCK]
         logits: npt.NDArray[np.float32] = logits_at(model, embedding, shares_of_grid()).cpu().numpy()
         return logits
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from symsol_annot.bench.models.batches import decode_images
+from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
@@ -16,14 +16,13 @@ from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT, Calibr
 from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, Densities, ImageDensity
 from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
 from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP, MARKED_CIRCLE, MixtureRecipe
-from symsol_annot.bench.models.networks.answers import embeddings_of
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.mixture_network import Heads, MixtureNetwork, Told
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 
-_AT_ONCE, _BLOCK = 256, 512  # images embedded, decoded
+_AT_ONCE = 256  # images embedded
 _LEAST_CLAIM = -30.0  # of the logits of grid rotations that are not looked at
 
 
@@ -94,14 +93,15 @@ def _densities_by_index(
     body = body_for(recipe, dataset.symmetry_group, model.device)
     densities = Densities(model, recipe.structure, body, calibration)
 
+    embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _AT_ONCE)
+
     @lru_cache(maxsize=1)
     def told_of(block: int) -> Told:
-        images = decode_images(dataset[block * _BLOCK : (block + 1) * _BLOCK], recipe.input_size).images
-        return model.told(embeddings_of(model, images, _AT_ONCE), is_directed=body.is_directed).cpu()
+        return model.told(embeddings_in(block), is_directed=body.is_directed).cpu()
 
     @lru_cache(maxsize=1)
     def density(i: int) -> ImageDensity:
-        return densities.of_image(told_of(i // _BLOCK).row(i % _BLOCK), i)
+        return densities.of_image(told_of(i // BLOCK).row(i % BLOCK), i)
 
     return density
 
