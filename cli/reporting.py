@@ -17,6 +17,7 @@ from symsol_annot.generation.events import (
     Event,
     ForeignShardsFound,
     ImagesMade,
+    ObjectChecked,
     ShardBegunAgain,
     ShardFinished,
     Started,
@@ -103,6 +104,9 @@ class TextReporter:
                 self._bar.update(event.images)
             case ShardBegunAgain():
                 self._say(f"{event.shard}: begun again after failure {event.attempt}. {event.reason}")
+            case ObjectChecked():
+                self._say(f"the mesh has {event.group}, within {event.residual:.2g} of its radius")
+                self._say("\n".join(f"not looked for: {what}" for what in event.not_looked_for))
             case ForeignShardsFound():
                 self._say(f"left alone, for they are no shards of this set: {', '.join(event.files)}")
             case WorkersGone():
@@ -142,6 +146,9 @@ class JsonReporter:
                 self._line("progress")
             case Started():
                 self._line("started", images_there=event.images_there, shards_there=event.shards_there)
+            case ObjectChecked():
+                about = {"group": event.group, "residual": event.residual, "not_looked_for": event.not_looked_for}
+                self._line("object_checked", **about)
             case ForeignShardsFound():
                 self._line("strangers_found", files=event.files)
             case ShardFinished():

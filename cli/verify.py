@@ -15,6 +15,7 @@ from symsol_annot.generation.audit import AuditReport, audit
 from symsol_annot.generation.executors import local_processes
 from symsol_annot.generation.generate import damaged_shards, generate
 from symsol_annot.generation.origin import plan_behind
+from symsol_annot.generation.outside import found_outside
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.blender_process import check_blender_installed
 from symsol_annot.rendering.render_process import RenderProcess
@@ -95,10 +96,13 @@ def _audit_set(folder: Path, count: int, given: ObjectSpec | None, rng: np.rando
     if split is None:
         raise DataError(f"{folder}: has no split with symmetry sets, so there is nothing to audit")
     plan = plan_behind(folder, manifest, given)
+    outside, not_looked_for = found_outside(plan.spec)
     renderer = RenderProcess(plan.spec, plan.camera, plan.settings)
     with renderer, progress_bar(count, "image") as bar:
-        report = audit(dataset.load(folder, split), plan, renderer, count, rng, bar.update)
+        report = audit(dataset.load(folder, split), plan, renderer, count, rng, bar.update, outside)
     _print_report(folder, report)
+    for what in not_looked_for:
+        say(f"  not looked for: {what}")
     return report.faults
 
 
@@ -109,5 +113,7 @@ def _print_report(folder: Path, report: AuditReport) -> None:
         f"{folder}: drew {report.images} images again, with {report.members} members of their sets and "
         f"{report.rejected} rejected candidates: {len(report.faults)} faults\n"
         f"  rejected candidates that draw the same pixels, for the marking shows too little: {report.near_neighbours}\n"
+        f"  rotations outside of the declared group: {report.outside} of groups found from the mesh, and "
+        f"{report.near_members} random ones near members, {report.near_members_alike} of which draw the same pixels\n"
         f"  candidates that show the marking by less than the tolerance: {report.within_tolerance}"
     )

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.annotation.scanline import LatticePoints, Segments, count_inside, is_inside, points_near
-from symsol_annot.objects.mesh import Mesh
+from symsol_annot.objects.mesh import Mesh, face_planes, is_convex
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import engine_named
@@ -27,7 +27,6 @@ Flags = npt.NDArray[np.bool_]
 
 _PRODUCT = 1 << 18  # multiplications of one matrix product, beyond which OpenBLAS would start threads
 _NEXT = [1, 2, 0]  # the corner after each of a triangle's three
-_CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
 
 
 def visibility_of(spec: ObjectSpec, camera: Camera, settings: RenderSettings) -> "MarkingVisibility | None":
@@ -35,12 +34,6 @@ def visibility_of(spec: ObjectSpec, camera: Camera, settings: RenderSettings) ->
     if spec.marking is None or not is_convex(spec.mesh):
         return None
     return MarkingVisibility(spec.mesh, camera, settings)
-
-
-def is_convex(mesh: Mesh) -> bool:
-    """Tell whether a closed mesh bounds a convex body: no vertex lies outside the plane of any face."""
-    normals, offsets = _planes(mesh)
-    return bool((normals @ mesh.vertices.T <= offsets[:, None] + _CONVEX).all())
 
 
 class MarkingVisibility:
@@ -57,7 +50,7 @@ class MarkingVisibility:
         self._shift = vertex_shift(camera, settings)
         used, local = np.unique(mesh.triangles[mesh.is_marking], return_inverse=True)
         self._vertices, self._triangles = mesh.vertices[used], local.reshape(-1, 3)
-        self._body_planes = _planes(mesh)
+        self._body_planes = face_planes(mesh)
         self._neighbours = _neighbours(self._triangles)
         corners = self._vertices[self._triangles.T]
         ends = corners[_NEXT]
@@ -272,16 +265,6 @@ def _in_products(chosen: npt.NDArray[np.int64], size: int) -> Iterator[npt.NDArr
     """Give numbers (k,) in pieces whose columns a matrix of `size` entries is multiplied with in one thread."""
     step = max(_PRODUCT // size, 1)
     return (chosen[start : start + step] for start in range(0, len(chosen), step))
-
-
-def _planes(mesh: Mesh) -> tuple[Floats, Floats]:
-    """Return the planes of a mesh's faces, each about once: outward normals (p, 3) and offsets (p,) from the origin."""
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
-    normals = np.cross(b - a, c - a)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets = (normals * a).sum(axis=1)
-    _, first = np.unique(np.column_stack([normals, offsets]).round(6), axis=0, return_index=True)
-    return normals[first], offsets[first]
 
 
 def _connected(start: npt.NDArray[np.int64], end: npt.NDArray[np.int64]) -> int:

@@ -2,7 +2,8 @@
 
 Of each audited image some candidates R_gt g are drawn, half of them where the set ends: members next to candidates
 that were rejected, and the other way round. Of an object of format version 2, candidates are compared with the image as
-they were when the set was made: at all points of the lattice.
+they were when the set was made: at all points of the lattice. Drawn as well are rotations that the object does not
+declare: those of the group that is found from its mesh, and random ones near members.
 """
 
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.annotation.symmetry_set import SymmetrySet
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.generation.marking_trace import MarkingTrace
+from symsol_annot.generation.outside import near_members
 from symsol_annot.rendering.control import ControlledRenderer
 from symsol_annot.rendering.renderer import MARKING, Renderer
 from symsol_annot.rotations.so3 import Rotations, angle_between
@@ -26,6 +28,7 @@ EDGE_PIXELS = 8  # how many pixels two drawings of one view may differ in: verti
 RGB_LEVELS = 12  # how far a pixel must be off to count; a lattice point is worth a 16th to a quarter of the contrast
 DEPTH_RADII = 0.02  # how far a depth must be off to count, in bounding-sphere radii; what an edge decides, by far more
 CANDIDATES_PER_IMAGE = 24
+OUTSIDE_PER_IMAGE, NEAR_PER_IMAGE = 8, 4  # rotations outside of the declared group
 NEAR_RAD = np.radians(15.0)  # so far a candidate may be that draws a marking of a pixel or two the same
 _POINTS_PER_PIXEL = 4  # of the lattice; each of a marking below the tolerance can colour a pixel
 
@@ -40,6 +43,9 @@ class AuditReport:
         rejected: how many rejected candidates were drawn.
         near_neighbours: of images that show the marking: rejected candidates that draw the same pixels. The set
             is the answer of the continuous limit; these show how far a pixel grid falls short of it.
+        outside: how many rotations outside of the declared group were drawn, of groups that the mesh was found to have.
+        near_members: how many random rotations near members were drawn.
+        near_members_alike: those of them that draw the same pixels: the pixel grid is too coarse for them.
         within_tolerance: candidates whose marking shows, but by less than the tolerance.
         faults: what contradicts the set, one line each.
     """
@@ -48,6 +54,9 @@ class AuditReport:
     members: int = 0
     rejected: int = 0
     near_neighbours: int = 0
+    outside: int = 0
+    near_members: int = 0
+    near_members_alike: int = 0
     within_tolerance: int = 0
     faults: list[str] = field(default_factory=list)
 
@@ -59,6 +68,7 @@ def audit(
     count: int,
     rng: np.random.Generator,
     on_image: Callable[[], object] = lambda: None,
+    outside: Rotations | None = None,
 ) -> AuditReport:
     """Draw random images of a split again, each with up to 24 of its candidates, and compare them with their sets.
 
@@ -69,6 +79,7 @@ def audit(
         count: how many images; all of a split that has fewer.
         rng: chooses images and candidates.
         on_image: called after each image.
+        outside: (n, 3, 3) rotations g that the object's group lacks, from `found_outside`; some are drawn per image.
 
     Raises:
         NotAnnotatedError: the split has no symmetry sets.
@@ -83,7 +94,9 @@ def audit(
     annotator = Annotator.for_object(plan.spec, plan.camera, plan.settings, controlled, exhaustive=True)
     drawer = _Drawer(annotator, None if plan.spec.has_general_rule else MarkingTrace(plan.settings))
     for row in np.sort(rng.choice(len(dataset), size=min(count, len(dataset)), replace=False)):
-        _audit_image(dataset[int(row)], drawer, rng, report)
+        sample = dataset[int(row)]
+        _audit_image(sample, drawer, rng, report)
+        _audit_outside(sample, drawer, np.zeros((0, 3, 3)) if outside is None else outside, rng, report)
         report.images += 1
         on_image()
     controlled.check()
@@ -115,6 +128,24 @@ def _audit_image(sample: Sample, drawer: "_Drawer", rng: np.random.Generator, re
             report.near_neighbours += int(is_near)
             found = [f"candidate {index} was rejected, but draws the same marking"] if is_same and not is_near else []
         report.faults += [f"image {sample.index}, {what}" for what in found]
+
+
+def _audit_outside(
+    sample: Sample, drawer: "_Drawer", outside: Rotations, rng: np.random.Generator, report: AuditReport
+) -> None:
+    """Draw rotations that are no candidates of the image, and report those that draw the image."""
+    chosen = outside[rng.permutation(len(outside))[:OUTSIDE_PER_IMAGE]]
+    for g in chosen:
+        report.outside += 1
+        if drawer.draws(sample, sample.rotation @ g):
+            turn = np.degrees(float(angle_between(g, np.eye(3))))
+            report.faults.append(
+                f"image {sample.index}: a turn by {turn:.4g} degrees draws the same image, and is a symmetry found "
+                "from the mesh that the object does not declare: its symmetry sets lack members"
+            )
+    for R_m2c in near_members(sample.symmetry_set, NEAR_PER_IMAGE, rng):
+        report.near_members += 1
+        report.near_members_alike += int(drawer.draws(sample, R_m2c))
 
 
 @dataclass(frozen=True)
@@ -166,6 +197,13 @@ class _Drawer:
         if rule is None:
             return None
         return 0.0 if rule.spec.marking is None else float(rule.between(R_gt, R_m2c[None])[0])
+
+    def draws(self, sample: Sample, R_m2c: Rotations) -> bool:
+        """Tell whether a rotation (3, 3) draws an image's pixels, but for a few at edges."""
+        view = self.annotator.renderer.render(R_m2c)
+        segmentation = np.count_nonzero(view.segmentation != sample.segmentation)
+        rgb = np.abs(view.rgb.astype(np.int16) - sample.image.astype(np.int16)).max(axis=-1) > RGB_LEVELS
+        return bool(segmentation <= EDGE_PIXELS and np.count_nonzero(rgb) <= EDGE_PIXELS)
 
     def draw(self, R_m2c: Rotations) -> _Drawing:
         """Return the drawing of one rotation (3, 3)."""

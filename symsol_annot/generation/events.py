@@ -21,6 +21,21 @@ class Started:
 
 
 @dataclass(frozen=True)
+class ObjectChecked:
+    """The mesh of an object that is not built in has the declared group, and no larger one where that was looked for.
+
+    Attributes:
+        group: in words, with what it nearly has.
+        residual: how far the surface is from having it, in radii.
+        not_looked_for: in words.
+    """
+
+    group: str
+    residual: float
+    not_looked_for: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class ForeignShardsFound:
     """The folder holds shards that are none of this set's; they are left alone."""
 
@@ -58,7 +73,9 @@ class WorkersGone:
     """There is no worker at the moment; the work waits for one."""
 
 
-Event: TypeAlias = Started | ForeignShardsFound | ImagesMade | ShardFinished | ShardBegunAgain | WorkersGone
+Event: TypeAlias = (
+    Started | ObjectChecked | ForeignShardsFound | ImagesMade | ShardFinished | ShardBegunAgain | WorkersGone
+)
 OnEvent: TypeAlias = Callable[[Event], object]
 
 

@@ -23,6 +23,7 @@ from symsol_annot.errors import (
 from symsol_annot.generation.events import (
     ForeignShardsFound,
     ImagesMade,
+    ObjectChecked,
     OnEvent,
     ShardBegunAgain,
     ShardFinished,
@@ -32,7 +33,7 @@ from symsol_annot.generation.events import (
 )
 from symsol_annot.generation.executors import Executor, OpenExecutor
 from symsol_annot.generation.maker import MadeShard
-from symsol_annot.objects.check import check_object
+from symsol_annot.objects.checking.check import check_object
 from symsol_annot.sets.manifest import (
     MANIFEST_NAME,
     Manifest,
@@ -95,16 +96,22 @@ def generate(
         if foreign:
             on_event(ForeignShardsFound(tuple(sorted(foreign))))
         if not todo:
-            check_object(plan.spec)
+            _check(plan, on_event)
         else:
             check_inside(folder, [MANIFEST_NAME, *(entry.file for entry in manifest.shards)])
             with open_executor(plan) as executor:
                 executor.prepare(len(todo))
                 prepare_to_open()
-                check_object(plan.spec)  # while all these start
+                _check(plan, on_event)  # while all these start
                 make_folder(folder)
                 _Execution(folder, executor, manifest, on_event, repair=repair).carry_out(todo)
         return read_manifest(folder)
+
+
+def _check(plan: SetPlan, on_event: OnEvent) -> None:
+    checked = check_object(plan.spec)
+    if checked.group is not None:
+        on_event(ObjectChecked(checked.group, checked.residual, checked.not_looked_for))
 
 
 def damaged_shards(folder: Path, manifest: Manifest) -> list[ShardEntry]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+_CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
 BODY_ID, MARKING_ID = 1, 2  # of the parts; 0 is the background's
 
 
@@ -44,3 +45,19 @@ class Mesh:
     def triangles_of(self, part: int) -> npt.NDArray[np.float64]:
         """Return the corners (T, 3, 3) of the triangles of the part of an id."""
         return self.vertices[self.triangles[self.part_ids == part]]
+
+
+def is_convex(mesh: Mesh) -> bool:
+    """Tell whether a closed mesh bounds a convex body: no vertex lies outside the plane of any face."""
+    normals, offsets = face_planes(mesh)
+    return bool((normals @ mesh.vertices.T <= offsets[:, None] + _CONVEX).all())
+
+
+def face_planes(mesh: Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the planes of a mesh's faces, each about once: outward normals (p, 3) and offsets (p,) from the origin."""
+    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets = (normals * a).sum(axis=1)
+    _, first = np.unique(np.column_stack([normals, offsets]).round(6), axis=0, return_index=True)
+    return normals[first], offsets[first]

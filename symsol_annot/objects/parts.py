@@ -19,6 +19,7 @@ MAX_PARTS = 255  # their ids are bytes, and 0 is the background's
 BODY_COLOUR: Colour = (0.72, 0.80, 0.94)
 MARKING_COLOUR: Colour = (0.95, 0.16, 0.04)
 DEFAULT_TOLERANCE_PX = 0.125  # less than one of the 4 points of a pixel
+MOST_OFFSET = 0.02  # radii: at 224 pixels, under two
 _GOLDEN = (5**0.5 - 1.0) / 2.0  # of a turn of the hue from one part to the next: no two come close
 
 
@@ -102,6 +103,20 @@ def read_tolerance(toml: ObjectToml) -> float:
     if not 0.0 < tolerance_px < float("inf"):
         raise toml.fault("equality.tolerance_px", f"expected a positive number of pixels, found {tolerance_px}")
     return tolerance_px
+
+
+def read_max_offset(toml: ObjectToml) -> float:
+    """Return `symmetry.max_offset`: how far the group may carry the surface off itself, in radii; 0 if not given.
+
+    Raises:
+        ObjectError: it is no length, or so long that the shape would be another one.
+    """
+    if not toml.has("symmetry.max_offset"):
+        return 0.0
+    offset: float = toml.take("symmetry.max_offset", float)
+    if not 0.0 <= offset <= MOST_OFFSET:
+        raise toml.fault("symmetry.max_offset", f"expected 0 to {MOST_OFFSET} of the radius, found {offset}")
+    return offset
 
 
 def read_mesh_name(toml: ObjectToml) -> str:

@@ -24,6 +24,7 @@ from symsol_annot.objects.parts import (
     MARKING_COLOUR,
     Part,
     breaking_parts,
+    read_max_offset,
     read_mesh_name,
     read_of,
     read_parts,
@@ -66,6 +67,8 @@ class ObjectSpec:
         parts: all of them in the order of their ids, the body first, whose id is 1.
         has_general_rule: whether its symmetry sets follow from a comparison of images, as those of format version 2;
             else from whether the marking shows.
+        max_offset: how far the group may carry the surface off itself, in radii, for it to count as having the group:
+            so a body of facets counts as round. 0 where none is stated.
     """
 
     name: str
@@ -77,6 +80,7 @@ class ObjectSpec:
     marking: Marking | None
     parts: tuple[Part, ...]
     has_general_rule: bool = False
+    max_offset: float = 0.0
 
     @property
     def stabiliser(self) -> Rotations:
@@ -99,6 +103,11 @@ class ObjectSpec:
 def builtin_names() -> tuple[str, ...]:
     """Return the names of the built-in objects, sorted."""
     return tuple(sorted(entry.name for entry in _assets().iterdir() if (entry / "object.toml").is_file()))
+
+
+def is_builtin(spec: ObjectSpec) -> bool:
+    """Tell whether an object is one of those that the package has."""
+    return spec.folder is not None and spec.folder.parent == _assets()
 
 
 def load_object(name_or_folder: str) -> ObjectSpec:
@@ -167,8 +176,11 @@ def _read_parted(folder: Path, toml: ObjectToml, names: tuple[str, str], toml_di
     """Read the rest of an object of format version 2: parts, and the group of those that do not break it."""
     parts, of = read_parts(toml), read_of(toml)
     if toml.has("symmetry.group"):
-        raise toml.fault("symmetry.group", "is not read yet: state the group by its kind, with order and axis")
-    group, tolerance_px = read_group(toml, "symmetry"), read_tolerance(toml)
+        raise toml.fault(
+            "symmetry.group",
+            "is not read: state kind, order and axis, as `symsol-annot symmetries MESH` finds them",
+        )
+    group, tolerance_px, max_offset = read_group(toml, "symmetry"), read_tolerance(toml), read_max_offset(toml)
     path = folder / read_mesh_name(toml)
     toml.refuse_unknown_fields()
     mesh_data = read_object_file(path, MAX_MESH_BYTES)
@@ -177,7 +189,7 @@ def _read_parted(folder: Path, toml: ObjectToml, names: tuple[str, str], toml_di
     found = breaking_parts(toml, mesh, parts, of, group)
     mesh = replace(mesh, breaking=found.ids)
     marking = Marking(group[found.stabiliser], tolerance_px) if found.ids else None
-    return ObjectSpec(*names, digest, folder, mesh, group, marking, parts, has_general_rule=True)
+    return ObjectSpec(*names, digest, folder, mesh, group, marking, parts, has_general_rule=True, max_offset=max_offset)
 
 
 def _assets() -> Path:

@@ -10,8 +10,9 @@ from numpy_renderer import NumpyRenderer
 from oracle import cast_samples
 
 from symsol_annot.annotation.annotator import Annotator
-from symsol_annot.annotation.visibility import MarkingVisibility, _planes, is_convex, visibility_of
+from symsol_annot.annotation.visibility import MarkingVisibility, visibility_of
 from symsol_annot.generation.generate import generate
+from symsol_annot.objects.mesh import face_planes, is_convex
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
@@ -123,7 +124,7 @@ def test_no_point_of_the_marking_is_nearer_or_farther_than_its_depths(name):
 
 @pytest.mark.parametrize(("name", "faces"), [("tet", 4), ("cube", 6), ("icosa", 20), ("cyl", 362)])
 def test_a_bodys_planes_are_those_of_its_faces_each_once(name, faces):
-    normals, offsets = _planes(load_object(name).mesh)
+    normals, offsets = face_planes(load_object(name).mesh)
     assert len(normals) == len(offsets) == faces
 
 

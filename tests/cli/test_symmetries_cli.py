@@ -9,7 +9,7 @@ from made_solids import SOLIDS, joined, lathe, prism, torus
 from symsol_annot_cli.main import app
 
 from symsol_annot.errors import ObjectError, OutputError
-from symsol_annot.objects.check import check_object
+from symsol_annot.objects.checking.check import check_object
 from symsol_annot.objects.mesh_files import read_surface
 from symsol_annot.objects.spec import read_object
 from symsol_annot.objects.surface import distance_to_triangles

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from symsol_annot.annotation.annotator import Annotator
-from symsol_annot.objects.check import check_object
+from symsol_annot.objects.checking.check import check_object
 from symsol_annot.objects.spec import read_object
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess

@@ -6,7 +6,7 @@ from object_folders import edited
 from parted_objects import TOML, add_box, mug, painted, parted_toml, prism
 
 from symsol_annot.errors import ObjectError
-from symsol_annot.objects.check import check_object
+from symsol_annot.objects.checking.check import check_object
 from symsol_annot.objects.parts import MAX_PARTS, default_colour
 from symsol_annot.objects.spec import read_object
 
@@ -30,13 +30,19 @@ def test_parts_have_ids_in_their_order_and_those_that_break_the_group_are_found(
 
 
 def test_a_part_that_keeps_the_group_breaks_nothing(write):
-    mesh = add_box(prism(), (-0.2, -0.2, 0.3), (0.2, 0.2, np.sqrt(1 - 0.08)), "knob")
-    toml = parted_toml([("body", "clay", None), ("knob", "knob", None)], 'kind = "cyclic"\norder = 4')
-    spec = read_object(write(toml, str(mesh)))
+    belt = painted(*((face, "belt") for face in range(8)))
+    spec = read_object(write(parted_toml([("body", "clay", None), ("sides", "belt", None)], D8), belt))
     check_object(spec)
     assert spec.mesh.breaking == ()
     assert spec.marking is None
-    assert len(spec.stabiliser) == 4
+    assert len(spec.stabiliser) == 16
+
+
+def test_a_part_that_keeps_the_group_and_hides_a_larger_one_is_refused(write):
+    mesh = add_box(prism(), (-0.2, -0.2, 0.3), (0.2, 0.2, np.sqrt(1 - 0.08)), "knob")
+    toml = parted_toml([("body", "clay", None), ("knob", "knob", None)], 'kind = "cyclic"\norder = 4')
+    with pytest.raises(ObjectError, match=r"declares C4, .* without the part 'knob', .* has more: D8"):
+        check_object(read_object(write(toml, str(mesh))))
 
 
 @pytest.mark.parametrize(("faces", "order"), [((0,), 2), ((0, 4), 4), ((0, 2, 4, 6), 8), ((0, 1), 2), ((0, 1, 3), 1)])
@@ -70,7 +76,7 @@ FAULTS = {
     "no colour": ("colour = [0.1, 0.5, 0.2]", "colour = [0.1, 0.5, 2]", "expected three numbers from 0 to 1"),
     "no part of that name": ('of = ["body"]', 'of = ["bodi"]', "expected names of parts (body, handle)"),
     "no tolerance": ("tolerance_px = 0.125", "tolerance_px = 0", "expected a positive number of pixels"),
-    "find": ("order = 8", 'order = 8\ngroup = "find"', "is not read yet"),
+    "find": ("order = 8", 'order = 8\ngroup = "find"', "is not read: state kind, order and axis"),
     "no material": ('select = { material = "grip" }', "select = { material = 5 }", "expected a string, found 5"),
 }
 

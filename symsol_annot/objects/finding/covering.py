@@ -2,6 +2,7 @@
 
 A turned triangle is within d of the surface
 - if its corners are within d of one and the same triangle of it: the distance to a convex set is a convex function;
+- if its corners are within d of one flat convex region of it, for the same reason;
 - or if triangles of the surface that face the same way cover it, seen along its normal, at heights of at most d.
   Covered is what clipping them with the triangle leaves of its area. At edges where the surface has a kink, a margin of
   the triangle is left out, as a residual moves those sideways; every point in the margin is near one outside of it.
@@ -13,6 +14,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from symsol_annot.objects.finding.distances import SurfaceDistance, point_to_triangle
+from symsol_annot.objects.finding.flat_regions import FlatRegions
 from symsol_annot.objects.finding.surface import Surface
 from symsol_annot.rotations.so3 import Rotations
 
@@ -47,9 +49,8 @@ class Covering:
         self._corners, self._normals = surface.corners[is_of_part], surface.normals[is_of_part]
         self._is_kink = _kinks(surface, is_of_part)
         self._stretch = _stretch(surface.triangles[is_of_part], self._corners, self._is_kink)
-        edges = np.roll(self._corners, -1, axis=1) - self._corners
         self._least_angle = _angles(self._corners).min(axis=1)
-        self._edges = edges
+        self._flat = FlatRegions(surface.chosen(is_of_part))
 
     def bounds(self, R: Rotations) -> Bounds:
         """Return for each triangle of the part how far from the part it is at most when turned; inf if not known."""
@@ -59,6 +60,7 @@ class Covering:
         to_one = [point_to_triangle(corners[:, k], self._distance.corners[nearest]) for k in range(3)]
         bounds = np.max(to_one, axis=0)
         bounds[bounds > limit] = np.inf
+        bounds = np.minimum(bounds, self._flat.bounds(R, limit))
         for margin, neighbours in _TRIES:
             is_better = (margin, neighbours) == _TRIES[0] and len(bounds) <= _FEW
             left = np.flatnonzero(bounds > _TIGHT * limit if is_better else ~np.isfinite(bounds))

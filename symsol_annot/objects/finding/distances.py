@@ -9,7 +9,7 @@ Indices = npt.NDArray[np.intp]
 Distances = npt.NDArray[np.float64]
 
 _PIECES = 12_000  # a surface is cut into about as many, and as many more as it has triangles
-_NEAREST = 3
+_NEAREST = (3, 24)  # pieces that are measured first
 _PAIRS = 2**18  # of points and pieces, measured at once
 
 
@@ -46,34 +46,33 @@ class SurfaceDistance:
                 larger than it is, by up to `reach`.
             slack: how much larger one within the limit may be given; the limit, if None.
         """
-        to_centre, near = self.tree.query(points, k=min(_NEAREST, len(self.centres)))
-        tried = self.parent[near.reshape(len(points), -1)]
-        rows = np.repeat(np.arange(len(points)), tried.shape[1])
-        measured = point_to_triangle(points[rows], self.corners[tried.ravel()]).reshape(tried.shape)
-        best = measured.argmin(axis=1)
-        distance, triangle = measured.min(axis=1), tried[np.arange(len(points)), best]
-        is_open = (distance > (limit if slack is None else slack)) & (
-            to_centre.reshape(len(points), -1)[:, 0] - self.reach <= limit
-        )
-        for chosen in np.array_split(np.flatnonzero(is_open), max(1, np.count_nonzero(is_open) // 1024)):
-            self._improve(points, distance, triangle, chosen, limit)
+        distance, triangle = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.intp)
+        open_ = np.arange(len(points))
+        for count in _NEAREST:  # of thin triangles, the one that a point is on may have no centre near it
+            to_centre, near = self.tree.query(points[open_], k=[*range(1, min(count, len(self.centres)) + 1)])
+            self._measure(points, distance, triangle, np.repeat(open_, near.shape[1]), near.ravel())
+            is_far = distance[open_] > (limit if slack is None else slack)
+            open_ = open_[is_far & (to_centre[:, 0] - self.reach <= limit)]
+        for chosen in np.array_split(open_, max(1, len(open_) // 1024)):
+            lists = self.tree.query_ball_point(points[chosen], limit + self.reach, return_sorted=False)
+            rows = np.repeat(chosen, [len(found) for found in lists])
+            pieces = np.concatenate([np.asarray(found, dtype=np.intp) for found in (*lists, [])])
+            for first in range(0, len(rows), _PAIRS):
+                some = slice(first, first + _PAIRS)
+                self._measure(points, distance, triangle, rows[some], pieces[some])
         return distance, triangle
 
-    def _improve(self, points: Points, distance: Distances, triangle: Indices, chosen: Indices, limit: float) -> None:
-        """Measure whatever else can be within the limit: pieces whose centroid is within it and their reach."""
-        lists = self.tree.query_ball_point(points[chosen], limit + self.reach, return_sorted=False)
-        rows = np.repeat(chosen, [len(found) for found in lists])
-        pieces = np.concatenate([np.asarray(found, dtype=np.intp) for found in (*lists, [])])
-        for first in range(0, len(rows), _PAIRS):
-            row, parent = rows[first : first + _PAIRS], self.parent[pieces[first : first + _PAIRS]]
-            measured = point_to_triangle(points[row], self.corners[parent])
-            order = np.lexsort((measured, row))
-            is_best = np.ones(len(order), dtype=bool)
-            is_best[1:] = row[order][1:] != row[order][:-1]
-            best = order[is_best]
-            is_nearer = measured[best] < distance[row[best]]
-            distance[row[best][is_nearer]] = measured[best][is_nearer]
-            triangle[row[best][is_nearer]] = parent[best][is_nearer]
+    def _measure(self, points: Points, distance: Distances, triangle: Indices, rows: Indices, pieces: Indices) -> None:
+        """Measure points to the triangles of pieces, pair by pair, and keep what is nearer than what was known."""
+        parent = self.parent[pieces]
+        measured = point_to_triangle(points[rows], self.corners[parent])
+        order = np.lexsort((measured, rows))
+        is_best = np.ones(len(order), dtype=bool)
+        is_best[1:] = rows[order][1:] != rows[order][:-1]
+        best = order[is_best]
+        is_nearer = measured[best] < distance[rows[best]]
+        distance[rows[best][is_nearer]] = measured[best][is_nearer]
+        triangle[rows[best][is_nearer]] = parent[best][is_nearer]
 
 
 def point_to_triangle(points: Points, corners: Points) -> Distances:

@@ -164,7 +164,8 @@ class LargerGroup:
     """A larger group, of what is left when some faces are taken away.
 
     Attributes:
-        group: of what is left.
+        group: of what is left; a continuous one where that is nearly round.
+        as_it_is: of what is left to the tolerance, as `group` or a finite subgroup of it.
         centre: (3,) its fixed point, in the mesh's unit and frame.
         taken_away: (k,) indices of the mesh's triangles.
         what: that they are, in words.
@@ -173,6 +174,7 @@ class LargerGroup:
     """
 
     group: Group
+    as_it_is: Group
     centre: Points
     taken_away: Indices
     what: str

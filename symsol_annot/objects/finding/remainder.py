@@ -90,7 +90,7 @@ def _of_rest(surface: Surface, taken: Flags, what: str, shape: CertifiedGroup, t
         group, residual = nearly.group, nearly.deviation
     if not _is_larger(group, found.centre, shape, radius):
         return None
-    return LargerGroup(group, found.centre, surface.source[taken], what, area_left, residual)
+    return LargerGroup(group, found.group, found.centre, surface.source[taken], what, area_left, residual)
 
 
 def _is_larger(group: Group, centre: Points, shape: CertifiedGroup, radius: float) -> bool:
@@ -129,7 +129,7 @@ def _without_patches(surface: Surface, axis: Revolution, shape: CertifiedGroup) 
     if not _is_larger(group, centre, shape, radius) or _shows_its_border(surface, taken, centre, 4 * radius, frame):
         return None
     what = f"{np.count_nonzero(taken)} faces in {_patches(surface, taken)}"
-    return LargerGroup(group, centre, surface.source[taken], what, area_left, axis.deviation)
+    return LargerGroup(group, group, centre, surface.source[taken], what, area_left, axis.deviation)
 
 
 def _shows_its_border(surface: Surface, taken: Flags, centre: Points, distance: float, frame: Rotations) -> bool:

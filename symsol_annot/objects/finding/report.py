@@ -11,7 +11,7 @@ def report_lines(found: Symmetries) -> list[str]:
     """Return the lines that tell a person what was found."""
     shape = found.shape
     lines = [f"group        {_in_words(shape.group)}"]
-    lines += [f"  axis       {_axis_in_words(axis)}" for axis in shape.group.axes[:8]]
+    lines += [f"  axis       {axis_in_words(axis)}" for axis in shape.group.axes[:8]]
     if len(shape.group.axes) > 8:
         lines.append(f"  and {len(shape.group.axes) - 8} more axes")
     x, y, z = shape.centre
@@ -36,7 +36,8 @@ def _in_words(group: Group) -> str:
     return f"{group.name}, {group.size} rotation{'s' if group.size > 1 else ', the identity'}"
 
 
-def _axis_in_words(axis: Axis) -> str:
+def axis_in_words(axis: Axis) -> str:
+    """Return an axis's direction and its fold."""
     x, y, z = (round(value, 6) + 0.0 for value in axis.direction)
     fold = "any turn" if axis.fold is None else f"{axis.fold}-fold"
     return f"({x:g}, {y:g}, {z:g}), {fold}"

@@ -22,7 +22,7 @@ def roundness(surface: Surface, group: Group) -> Roundness | None:
         surface: its group's fixed point at the origin, in the unit sphere.
         group: of it as it is.
     """
-    thickness = _off_ball(surface)
+    thickness = off_ball(surface)
     if thickness <= MOST_OFF_ROUND:
         return Roundness(Group(ALL_ROTATIONS, None, np.eye(3)), thickness)
     axis, order = _axis(surface, group)
@@ -76,7 +76,7 @@ def _axis(surface: Surface, group: Group) -> tuple[Points | None, int]:
     return axes[:, 2 if gaps[0] < gaps[1] else 0], order
 
 
-def _off_ball(surface: Surface) -> float:
+def off_ball(surface: Surface) -> float:
     """Return the difference of the largest and the least distance of a surface from the origin."""
     origin = np.zeros((len(surface.triangles), 3))
     return float(np.linalg.norm(surface.vertices, axis=1).max() - point_to_triangle(origin, surface.corners).min())

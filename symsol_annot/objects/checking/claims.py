@@ -1,0 +1,122 @@
+"""The group that an object.toml declares, held against the one that its mesh has.
+
+A declared group that is too small would leave rotations out of symmetry sets without a word; one that is too large is
+no symmetry of the mesh. Looked for are also larger groups of what is left where some faces are out of sight.
+"""
+
+import numpy as np
+
+from symsol_annot.errors import ObjectError
+from symsol_annot.objects.finding.found import ALL_ROTATIONS, CIRCLE_STEPS, Group, LargerGroup, Symmetries
+from symsol_annot.objects.finding.kinds import fitted_group
+from symsol_annot.objects.finding.report import axis_in_words
+from symsol_annot.objects.finding.roundness import off_ball
+from symsol_annot.objects.finding.surface import Points, Surface
+from symsol_annot.objects.finding.symmetries import find_symmetries
+from symsol_annot.objects.spec import ObjectSpec
+
+_SAME = 1e-3  # Frobenius distance of elements of a declared and of a found group
+_STEP = 0.02  # Frobenius distance, half a step of a circle by degrees and a little more
+_SOME = 24  # elements that are held against the centre
+_OFF_CENTRE = 1e-3  # radii that a declared rotation may move the fixed point of what was found
+_NEARLY_BALL = 1e-3  # radii off a ball, an eighth of a pixel, that nobody sees
+
+
+def group_field(spec: ObjectSpec) -> str:
+    """Return the table of the object.toml that declares the group."""
+    return "symmetry" if spec.has_general_rule else "body.group"
+
+
+def refuse_balls(spec: ObjectSpec, shell: Surface) -> None:
+    """Refuse a surface that any rotation leaves as it is.
+
+    Raises:
+        ObjectError: it is a ball about the origin, as far as anybody sees.
+    """
+    thickness = off_ball(shell)
+    if thickness <= _NEARLY_BALL:
+        raise ObjectError(
+            f"{spec.folder}: {spec.name!r} is a ball within {thickness:.2g} of its radius: any rotation leaves it as "
+            f"it is, which no group that {group_field(spec)} can declare says. Such objects are not rendered yet"
+        )
+
+
+def find_in_shell(spec: ObjectSpec, shell: Surface) -> Symmetries:
+    """Return what is found of the surface that an object declares a group of.
+
+    Raises:
+        ObjectError: it has no group that can be told at this tolerance.
+    """
+    try:
+        return find_symmetries(shell)
+    except ObjectError as error:
+        raise ObjectError(
+            f"{spec.folder}: whether {spec.name!r} has the group that {group_field(spec)} declares, and no larger one, "
+            f"cannot be told: {error}"
+        ) from None
+
+
+def refuse_other_group(spec: ObjectSpec, found: Symmetries) -> None:
+    """Refuse a declared group that lacks rotations which the mesh has, or has where some faces are out of sight.
+
+    A circle is declared by steps: by at least 360 turns about the axis that the mesh is round about.
+
+    Raises:
+        ObjectError: the declared group is too small; the message names the one that was found.
+    """
+    nearly = found.roundness
+    is_circle = nearly is not None and nearly.deviation <= max(found.tolerance, spec.max_offset)
+    if not _has_all(spec, found.object, found.shape.centre) and not (
+        nearly is not None and is_circle and _has_all(spec, nearly.group, found.shape.centre)
+    ):
+        raise ObjectError(_too_small(spec, found))
+    for larger in found.larger:
+        if not any(_has_all(spec, group, larger.centre) for group in (larger.as_it_is, larger.group)):
+            raise ObjectError(_larger_behind_faces(spec, larger))
+
+
+def what_it_has(found: Symmetries) -> str:
+    """Return in words what group a mesh has, and whether it is nearly round."""
+    group, nearly = found.object, found.roundness
+    axis = f" about {axis_in_words(group.axes[0])}" if group.kind in {"cyclic", "dihedral"} and group.axes else ""
+    almost = "" if nearly is None else f", or {nearly.group.name} within {nearly.deviation:.2g} of the radius"
+    return f"{group.name}{axis}{almost}"
+
+
+def _has_all(spec: ObjectSpec, group: Group, centre: Points) -> bool:
+    """Tell whether the declared rotations are all those of a group about a centre (3,), of a circle by steps."""
+    if group.kind == ALL_ROTATIONS or (group.is_continuous and len(spec.symmetry_group) < CIRCLE_STEPS):
+        return False
+    wanted, declared = group.rotations, spec.symmetry_group
+    if np.linalg.norm((wanted[:_SOME] - np.eye(3)) @ centre, axis=-1).max() > _OFF_CENTRE:
+        return False
+    nearest = (wanted.reshape(-1, 9) @ declared.reshape(-1, 9).T).max(axis=1)
+    off = np.sqrt(np.maximum(6.0 - 2.0 * nearest, 0.0))
+    return bool(off.max() <= (_STEP if group.is_continuous else _SAME))
+
+
+def _too_small(spec: ObjectSpec, found: Symmetries) -> str:
+    return (
+        f"{spec.folder}: {group_field(spec)} of {spec.name!r} declares {_declared(spec)}, but the surface has "
+        f"{len(found.object.rotations):,}: {what_it_has(found)}. Symmetry sets would lack the others. Declare that "
+        "group; `symsol-annot symmetries MESH --write FOLDER` turns a mesh to the axes of object.toml and writes it"
+    )
+
+
+def _larger_behind_faces(spec: ObjectSpec, larger: LargerGroup) -> str:
+    group, nearly = larger.as_it_is, larger.group
+    name = (
+        group.name if group.kind == nearly.kind or not nearly.is_continuous else f"{group.name}, nearly {nearly.name}"
+    )
+    return (
+        f"{spec.folder}: {group_field(spec)} of {spec.name!r} declares {_declared(spec)}, but what is left without "
+        f"{larger.what}, {larger.area_left:.0%} of the surface, has more: {name}. Where those are out of sight, "
+        "symmetry sets would lack rotations. Make them a [[part]] of an object.toml of format version 2, which stands "
+        f"out as a closed surface of its own or is painted on, and declare {group.name} as the group of the rest"
+        f"{', by order = 360' if group.is_continuous else ''}"
+    )
+
+
+def _declared(spec: ObjectSpec) -> str:
+    count = len(spec.symmetry_group)
+    return f"{fitted_group(spec.symmetry_group).name}, {count:,} rotation{'s' if count > 1 else ''}"
