@@ -5,7 +5,8 @@ ROW.json.gz to docs/results/leaderboard/TIER; of another seed than 0, ROW-seed-S
 Re-running the command resumes it. Whatever is finished is not done again, on whichever machine it was done: a folder
 runs/OBJECT-ROW or a file OBJECT-ROW.h5 that is put into the working folder is taken as it is. Sets are looked for in
 its folder `data` (`small` of the small tier), which may have links to them, and rendered where they are not there.
-The scores are of all objects that have predictions. Notes that somebody wrote into a result's file are kept.
+The scores are of all objects that have predictions. Objects that the result has already, and that have no predictions
+in the working folder, keep theirs. Notes that somebody wrote into a result's file are kept.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE, read_record
 from symsol_annot.bench.models.training.record import TrainingRecord
 from symsol_annot.bench.scoring.metric import LEAST_DECIMALS
-from symsol_annot.bench.scoring.scores_file import read_scores
+from symsol_annot.bench.scoring.scores_file import read_scores, write_scores
 from symsol_annot.errors import DataError, SymsolError
 from symsol_annot.objects.spec import load_object
 from symsol_annot.sets.dataset import load
@@ -235,11 +236,30 @@ def write(row: Row) -> None:
     """Write the result's files."""
     if not row.scores.is_file():
         raise BaselineError(f"{row.scores}: is missing; --only score makes it")
-    scores = read_scores(row.scores)["objects"]
-    text = result(row, {name: entry["predictions"]["sha256"] for name, entry in scores.items()})
-    write_atomically(row.place / row.scores.name, row.scores.read_bytes())
+    scores, earlier = read_scores(row.scores), read_earlier(row)
+    there = {**earlier.scores, **scores["objects"]}
+    scored = {name: entry["predictions"]["sha256"] for name, entry in scores["objects"].items()}
+    text = result(row, scored, earlier)
+    ordered = {name: there[name] for name in row.fingerprints() if name in there}
+    write_scores(row.place / row.scores.name, {**scores, "objects": ordered})
     write_atomically(row.place / f"{row.name}.toml", text.encode())
     print(f"{row.place / row.name}.toml\nNext:\n  symsol-annot leaderboard {BOARD} --out docs/leaderboard.md")
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """A result that was written before: its account as TOML has it, and the scores of its objects."""
+
+    account: Mapping[str, Any]
+    scores: Mapping[str, Any]
+
+
+def read_earlier(row: Row) -> Earlier:
+    """Return the result of the row that the board has; an empty one where it has none."""
+    account, scores = row.place / f"{row.name}.toml", row.place / row.scores.name
+    if not account.is_file() or not scores.is_file():
+        return Earlier({}, {})
+    return Earlier(tomllib.loads(account.read_text()), read_scores(scores)["objects"])
 
 
 def finished_record(row: Row, name: str) -> TrainingRecord:
@@ -255,33 +275,43 @@ def finished_record(row: Row, name: str) -> TrainingRecord:
     return record
 
 
-def result(row: Row, digests: Mapping[str, str]) -> str:
+def result(row: Row, digests: Mapping[str, str], earlier: Earlier) -> str:
     """Return the result's TOML, from what the checkpoints say of their trainings.
 
     Args:
         row: whose.
         digests: of the predictions that were scored, by object.
+        earlier: the result of the same row, of which objects that were not scored are kept.
     """
+    kept = {name: table for name, table in earlier.account.get("objects", {}).items() if name not in digests}
+    names = [name for name in row.fingerprints() if name in digests or name in kept]
     records = {name: finished_record(row, name) for name in digests}
     scored, predicted = read_note(row.note("score")), {name: read_note(row.note(f"{name}-predict")) for name in digests}
-    words = [command(name) for name in digests for command in (row.train_command, row.predict_command)]
+    words = [command(name) for name in names for command in (row.train_command, row.predict_command)]
+    before = [earlier.account["hardware"]] if kept else []
     head = {
         "title": load_recipe(row.recipe).title.partition(", small")[0],
         "by": "symsol-annot",
-        "hardware": hardware_in_words(records, predicted),
+        "hardware": "; ".join(dict.fromkeys([*before, hardware_in_words(records, predicted)])),
         "recipe": row.recipe,
         "method": row.recipe,
         "input_px": input_px(records),
         **knowledge(row),
-        "commands": [" ".join(command) for command in (*words, row.score_command(list(digests)))],
+        "commands": [" ".join(command) for command in (*words, row.score_command(names))],
     }
     lines = [f"{key} = {json.dumps(value, indent=4, ensure_ascii=False)}" for key, value in head.items()]
-    lines += [f"score_minutes = {scored['minutes']:.1f}"] if "minutes" in scored else []
+    lines += (
+        [f"score_minutes = {total:.1f}"] if (total := score_minutes(scored, digests, earlier, kept)) is not None else []
+    )
     lines += [
-        *notes_of(row.place / f"{row.name}.toml"),
+        *notes_of(earlier.account),
         f"date = {scored.get('date', dt.datetime.now(tz=dt.UTC).date())}",
     ]
-    for name, record in records.items():
+    for name in names:
+        if name in kept:
+            lines += [f"\n[objects.{name}]", *(f"{key} = {json.dumps(kept[name][key])}" for key in kept[name])]
+            continue
+        record = records[name]
         lines += [f"\n[objects.{name}]", f"seed = {record.seed}", f"minutes = {minutes(record, 'seconds'):.1f}"]
         lines += [f"processor_minutes = {minutes(record, 'processor_seconds'):.1f}"]
         lines += [f"predict_minutes = {predicted[name]['minutes']:.1f}"] if predicted[name] else []
@@ -338,9 +368,23 @@ def knowledge(row: Row) -> dict[str, bool]:
     }
 
 
-def notes_of(path: Path) -> list[str]:
-    """Return the line of notes that a TOML file has; none where there is no file or none in it."""
-    known = tomllib.loads(path.read_text()) if path.exists() else {}
+def score_minutes(
+    scored: Mapping[str, Any], digests: Mapping[str, str], earlier: Earlier, kept: Mapping[str, Any]
+) -> float | None:
+    """Return how long scoring all objects of a result took; None where that is not known."""
+    known = {name: table["predictions_sha256"] for name, table in earlier.account.get("objects", {}).items()}
+    if kept and all(known.get(name) == digest for name, digest in digests.items()):
+        return earlier.account.get("score_minutes")  # it is written again
+    if "minutes" not in scored:
+        return None
+    if not kept:
+        return float(scored["minutes"])
+    is_known = len(kept) == len(earlier.account["objects"]) and "score_minutes" in earlier.account
+    return float(scored["minutes"] + earlier.account["score_minutes"]) if is_known else None
+
+
+def notes_of(known: Mapping[str, Any]) -> list[str]:
+    """Return the line of notes of a result's account; none where it has none."""
     return [f"notes = {json.dumps(known['notes'], ensure_ascii=False)}"] if "notes" in known else []
 
 

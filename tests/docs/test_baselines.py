@@ -17,7 +17,7 @@ from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.bench.leaderboard.rows import tables_of
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
-from symsol_annot.bench.scoring.scores_file import read_scores
+from symsol_annot.bench.scoring.scores_file import read_scores, write_scores
 from symsol_annot.errors import WeightsError
 
 RECIPE = "small-wta"
@@ -231,6 +231,26 @@ def test_a_row_that_is_made_again_keeps_the_notes_of_its_file(made):
     file.write_text(f"notes = {json.dumps(NOTES)}\n{file.read_text()}")
     make(made)
     assert account(made)["notes"] == NOTES
+
+
+def test_objects_that_a_result_has_already_are_kept_when_others_are_added(made):
+    make(made)
+    before, scores_file = account(made)["objects"]["tetX"], made.place / f"{RECIPE}.json.gz"
+    earlier = read_scores(scores_file)
+    write_scores(scores_file, {**earlier, "objects": {"cylO": earlier["objects"]["tetX"]}})
+    for file in (made.place / f"{RECIPE}.toml", made.place / "set.toml"):
+        file.write_text(file.read_text().replace("tetX", "cylO"))
+    with (made.place / "set.toml").open("a") as file:
+        file.write(f'tetX = "{earlier["objects"]["tetX"]["fingerprint"]}"\n')
+    minutes = account(made)["score_minutes"]
+    baselines.make(baselines.Row(RECIPE, "small", 0, made.folder), ["tetX"], baselines.STEPS)
+    assert account(made)["objects"] == {"cylO": before, "tetX": before}
+    assert account(made)["score_minutes"] == pytest.approx(2 * minutes, abs=0.11)
+    assert [words.split()[1] for words in account(made)["commands"]] == [*("train", "predict") * 2, "score"]
+    assert list(read_scores(scores_file)["objects"]) == ["cylO", "tetX"]
+    make(made, steps=["write"])  # all of them are there: nothing is doubled
+    assert account(made)["objects"] == {"cylO": before, "tetX": before}
+    assert account(made)["score_minutes"] == pytest.approx(2 * minutes, abs=0.11)
 
 
 @pytest.mark.parametrize(
