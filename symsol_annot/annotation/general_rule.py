@@ -11,15 +11,17 @@ image shows a breaking part, the very surface of that part.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.annotation.symmetry_set import circles_of
 from symsol_annot.annotation.visibility import MarkingVisibility
+from symsol_annot.objects.finding.distances import SurfaceDistance
 from symsol_annot.objects.mesh import Mesh
 from symsol_annot.objects.spec import ObjectSpec
-from symsol_annot.objects.surface import SURFACE_TOLERANCE, distance_to_triangles
+from symsol_annot.objects.surface import SURFACE_TOLERANCE
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.renderer import LitWindow, Renderer
 from symsol_annot.rendering.settings import RenderSettings
@@ -114,6 +116,11 @@ class GeneralRule:
                 counts[number] = differing_points(image, window, self.spec.mesh.breaking)
         return counts / self.settings.points_per_pixel
 
+    @cached_property
+    def _distances(self) -> dict[int, SurfaceDistance]:
+        """What measures distances to the surface of each breaking part, by its id."""
+        return {part: SurfaceDistance(self.spec.mesh.triangles_of(part)) for part in self.spec.mesh.breaking}
+
     def _share_surfaces(self, R_gt: Rotations, image: LitWindow, group: Rotations) -> Flags:
         """Tell for which g (n, 3, 3) breaking parts at R_gt g have all the surface that the image shows: (n,)."""
         mesh, found = self.spec.mesh, np.ones(len(group), dtype=bool)
@@ -121,12 +128,12 @@ class GeneralRule:
         for part in mesh.breaking:
             points = _seen_points(mesh, part, R_gt, image, lattice)
             is_seen |= len(points) > 0
-            triangles = mesh.triangles_of(part)
-            low, high = triangles.min(axis=(0, 1)) - SURFACE_TOLERANCE, triangles.max(axis=(0, 1)) + SURFACE_TOLERANCE
+            distance = self._distances[part]
+            low, high = distance.corners.min(axis=(0, 1)), distance.corners.max(axis=(0, 1))
             for point in points:
                 turned = point @ group[found]  # g^-1 point
-                lies_on = ((turned >= low) & (turned <= high)).all(axis=1)
-                lies_on[lies_on] = distance_to_triangles(turned[lies_on], triangles) <= SURFACE_TOLERANCE
+                lies_on = ((turned >= low - SURFACE_TOLERANCE) & (turned <= high + SURFACE_TOLERANCE)).all(axis=1)
+                lies_on[lies_on] = distance(turned[lies_on], SURFACE_TOLERANCE) <= SURFACE_TOLERANCE
                 found[found] = lies_on
         return found & is_seen
 

@@ -81,12 +81,14 @@ def read_parts(toml: ObjectToml) -> tuple[Part, ...]:
 def read_of(toml: ObjectToml) -> tuple[str, ...]:
     """Return the names of the parts whose group is declared: `symmetry.of`, the first part where that is not given.
 
+    None are named where no part has the whole group by itself, as a mug of one shell has no circle: each may break it.
+
     Raises:
         ObjectError: one of them is no part.
     """
     names = [toml.take(f"part.{number}.name", str) for number in range(toml.count("part"))]
     of = toml.take("symmetry.of", list) if toml.has("symmetry.of") else names[:1]
-    if not of or not all(isinstance(name, str) and name in names for name in of) or len(set(of)) < len(of):
+    if not all(isinstance(name, str) and name in names for name in of) or len(set(of)) < len(of):
         raise toml.fault("symmetry.of", f"expected names of parts ({', '.join(names)}), found {shown(of)}")
     return tuple(of)
 

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from made_sets import threads
 from mesh_renderer import MeshRenderer
-from parted_objects import TOML, drawn_set, mug
+from parted_objects import TOML, drawn_set, mug, parted_toml
 from symsol_annot_cli.info import info
 
 from symsol_annot import load
@@ -29,6 +29,7 @@ from symsol_annot.sets.shard.laws import label_faults
 from symsol_annot.sets.verify import verify
 
 IMAGES = 12
+ONE_PART = parted_toml([("body", "clay", None)], 'of = []\nkind = "dihedral"\norder = 8')
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +45,23 @@ def folder(plan, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sets") / "mug"
     generate(plan, folder, threads(partial(MeshRenderer, plan.spec, plan.camera)))
     return folder
+
+
+def test_the_sets_of_a_mesh_without_a_part_of_the_group_are_those_of_whole_pictures(tmp_path):
+    """A prism with a handle, all of one part: where the handle hides, the prism's rotations draw the same picture."""
+    (tmp_path / "object.toml").write_text(ONE_PART)
+    (tmp_path / "mesh.obj").write_text(mug().replace("usemtl grip", "usemtl clay"))
+    spec = read_object(tmp_path)
+    assert spec.mesh.breaking == (1,)
+    plan = SetPlan(spec, {"test": IMAGES}, 0, Camera.filling(16), RenderSettings(), "test")
+    renderer = MeshRenderer(spec, plan.camera)
+    generate(plan, tmp_path / "set", threads(partial(MeshRenderer, spec, plan.camera)))
+    sizes = set()
+    for sample in load(tmp_path / "set", "test"):
+        np.testing.assert_array_equal(sample.symmetry_mask, drawn_set(spec, renderer, sample.rotation))
+        sizes.add(int(sample.symmetry_mask.sum()))
+    assert min(sizes) == len(spec.stabiliser) == 2
+    assert max(sizes) > 2
 
 
 def test_a_set_holds_its_parts_and_the_sets_that_drawing_gives(plan, folder):

@@ -172,3 +172,15 @@ def test_a_group_of_several_parts_is_refused_where_one_hides_a_larger_one(write)
     toml = toml.replace("[symmetry]", '[symmetry]\nof = ["body", "lid"]')
     with pytest.raises(ObjectError, match=r"declares C4, .* without the part 'lid', .* has more: D12"):
         check_object(read_object(write(toml, mesh)))
+
+
+def test_a_mesh_of_one_surface_may_declare_the_larger_group_of_what_it_hides(write):
+    """A mug of one shell: each part may break the circle, so that images are compared as a whole."""
+    mug = turned(SOLIDS["mug in one shell"][0], rotations_about((0, 0, 1), np.radians(-3)))
+    toml = parted_toml([("body", "clay", None)], DIHEDRAL.format(360)).replace("[symmetry]", "[symmetry]\nof = []")
+    spec = read_object(write(toml, obj_of(mug, materials=("clay",))))
+    assert check_object(spec).group.startswith("C2 about (1, 0, 0)")
+    assert (spec.mesh.breaking, len(spec.stabiliser), len(spec.symmetry_group)) == ((1,), 2, 720)
+    folder = write(toml.replace("dihedral", "cyclic"), obj_of(mug, materials=("clay",)))
+    with pytest.raises(ObjectError, match=r"declares C360, 360 rotations, but the surface has 2: C2 about \(1, 0, 0\)"):
+        check_object(read_object(folder))

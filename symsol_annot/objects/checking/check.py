@@ -17,7 +17,7 @@ from symsol_annot.objects.checking.claims import (
     refuse_other_group,
     what_it_has,
 )
-from symsol_annot.objects.checking.shell import shell_of
+from symsol_annot.objects.checking.shell import breaks_itself, shell_of
 from symsol_annot.objects.finding.found import Symmetries
 from symsol_annot.objects.finding.surface import Surface
 from symsol_annot.objects.spec import ObjectSpec, is_builtin
@@ -58,7 +58,7 @@ def check_object(spec: ObjectSpec, *, compares_builtin: bool = False) -> Checked
     _refuse_fine_markings(spec)
     shell = shell_of(spec)
     refuse_balls(spec, shell)
-    off = _farthest_off(spec, shell)
+    off = 0.0 if breaks_itself(spec) else _farthest_off(spec, shell)
     allowed = max(SURFACE_TOLERANCE, spec.max_offset)
     if is_builtin(spec) and not compares_builtin and off <= allowed:
         _check_marking(spec)

@@ -105,6 +105,7 @@ def _too_small(spec: ObjectSpec, found: Symmetries) -> str:
 
 def _larger_behind_faces(spec: ObjectSpec, larger: LargerGroup) -> str:
     group, nearly = larger.as_it_is, larger.group
+    by_steps = " A circle is declared by order = 360" * group.is_continuous
     name = (
         group.name if group.kind == nearly.kind or not nearly.is_continuous else f"{group.name}, nearly {nearly.name}"
     )
@@ -112,8 +113,8 @@ def _larger_behind_faces(spec: ObjectSpec, larger: LargerGroup) -> str:
         f"{spec.folder}: {group_field(spec)} of {spec.name!r} declares {_declared(spec)}, but what is left without "
         f"{larger.what}, {larger.area_left:.0%} of the surface, has more: {name}. Where those are out of sight, "
         "symmetry sets would lack rotations. Make them a [[part]] of an object.toml of format version 2, which stands "
-        f"out as a closed surface of its own or is painted on, and declare {group.name} as the group of the rest"
-        f"{', by order = 360' if group.is_continuous else ''}"
+        f"out as a closed surface of its own or is painted on, and declare {group.name} as the group of the rest; or "
+        f"declare it with `of = []`, and all of the mesh is compared.{by_steps}"
     )
 
 

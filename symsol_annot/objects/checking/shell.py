@@ -15,7 +15,7 @@ def shell_of(spec: ObjectSpec) -> Surface:
 
     Painted on is a breaking part that shares edges with them, whose faces fill the gap that they are cut out of; they
     count to the part around them. A marking of format version 1 is always painted on. A closed surface of its own, such
-    as a handle, is left out where it breaks the symmetry.
+    as a handle, is left out where it breaks the symmetry. Where each part does, as of `symmetry.of = []`, nothing is.
 
     Args:
         spec: the object.
@@ -25,15 +25,22 @@ def shell_of(spec: ObjectSpec) -> Surface:
     """
     mesh = spec.mesh
     numbers = np.asarray(mesh.part_ids, dtype=np.intp) - BODY_ID
-    if not spec.has_general_rule:
+    if not spec.has_general_rule or breaks_itself(spec):
         kept, part_of = np.ones(len(mesh.triangles), dtype=bool), np.zeros(len(mesh.triangles), dtype=np.intp)
     else:
         pieces = _pieces(mesh)
         kept = np.isin(pieces, pieces[~mesh.is_marking])
         part_of = _with_painted(mesh, numbers, kept)
+    if breaks_itself(spec):
+        part_of = numbers
     present, dense = np.unique(part_of[kept], return_inverse=True)
     names = tuple(spec.parts[number].name for number in present.tolist())
     return make_surface(mesh.vertices, mesh.triangles[kept], dense.reshape(-1), names)
+
+
+def breaks_itself(spec: ObjectSpec) -> bool:
+    """Tell whether every part of an object breaks its group, so that images are compared as a whole."""
+    return spec.has_general_rule and bool(spec.mesh.is_marking.all())
 
 
 def _pieces(mesh: Mesh) -> Indices:
