@@ -3,7 +3,7 @@
 A solid is (vertices (V, 3), triangles (T, 3)); a group is named as `Group.name` has it.
 """
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -229,6 +229,38 @@ def mug(facets=360, width=6):
     )
 
 
+def raised_cube(height):
+    """A cube of one surface whose top has a square bump in its middle, or a dent where the height is negative."""
+    points, triangles = [], []
+
+    def face(*corners):
+        triangles.extend(
+            [[len(points), len(points) + 1, len(points) + 2], [len(points), len(points) + 2, len(points) + 3]]
+        )
+        points.extend(corners)
+
+    for axis, side in ((0, -1), (0, 1), (1, -1), (1, 1), (2, -1)):
+        normal = side * np.eye(3)[axis]
+        u = np.roll(normal, 1)
+        v = np.cross(normal, u)
+        face(normal - u - v, normal + u - v, normal + u + v, normal - u + v)
+    marks = [-1.0, -0.3, 0.3, 1.0]
+    for (i, (x, right)), (j, (y, back)) in product(enumerate(pairwise(marks)), repeat=2):
+        z = 1.0 + height * (i == j == 1)
+        face((x, y, z), (right, y, z), (right, back, z), (x, back, z))
+    around = [(-0.3, -0.3), (0.3, -0.3), (0.3, 0.3), (-0.3, 0.3)]
+    for start, end in zip(around, around[1:] + around[:1], strict=True):
+        face((*start, 1.0), (*end, 1.0), (*end, 1.0 + height), (*start, 1.0 + height))
+    welded, place = np.unique(np.array(points).round(9), axis=0, return_inverse=True)
+    return welded, place.reshape(-1)[np.array(triangles)].astype(np.intp)
+
+
+def cut_box(height, depth=0.3):
+    """A box of 2 x 2 x 2 height with a corner cut off."""
+    corners = [[x, y, height * z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1) if (x, y, z) != (1, 1, 1)]
+    return hull_of([*corners, [1 - depth, 1, height], [1, 1 - depth, height], [1, 1, height - depth]])
+
+
 def two_shell_mug(facets=360):
     """A cup, and a ring that reaches into its wall: two closed shells."""
     points, faces = torus(40, 16)
@@ -272,6 +304,10 @@ SOLIDS = {
     "screw of 64 facets with a socket": (socket_screw(64), "C2"),
     "mug in one shell": (mug(), "C2"),
     "mug in two shells": (two_shell_mug(), "C1"),
+    "cube with a bump": (raised_cube(0.2), "C4"),
+    "cube with a dent": (raised_cube(-0.2), "C4"),
+    "cube without a corner": (cut_box(1.0), "C3"),
+    "bar without a corner": (cut_box(2.0), "C1"),
     "two boxes": (joined(box(1, 1, 1), moved(box(1, 1, 1), [2, 0, 0])), "D4"),
     "two odd boxes": (joined(box(1, 1, 1), moved(box(1, 1, 1.2), [2, 0, 0])), "C1"),
     "dumb-bell": (joined(moved(icosahedron(), [0, 0, -2.5]), moved(lathe(CAN, 5), [0, 0, 0])), "C1"),

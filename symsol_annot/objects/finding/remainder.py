@@ -2,7 +2,8 @@
 
 Where those faces are out of sight, an image has the larger group's symmetries. A mug of one shell has no symmetry, and
 a screw with a hex socket six rotations; where handle or socket hide, both have those of a circle. Taken away are parts
-and connected components, and patches off a surface of revolution that is most of the whole.
+and connected components, patches off a surface of revolution that is most of the whole, and what keeps flat faces from
+having a finite group.
 """
 
 import numpy as np
@@ -19,12 +20,13 @@ from symsol_annot.objects.finding.found import (
     Roundness,
 )
 from symsol_annot.objects.finding.kinds import frame_about
+from symsol_annot.objects.finding.patched import off_flat_faces
 from symsol_annot.objects.finding.revolution import Revolution, revolutions
 from symsol_annot.objects.finding.roundness import roundness
 from symsol_annot.objects.finding.surface import Flags, Points, Surface
 from symsol_annot.rotations.so3 import Rotations
 
-NOT_LOOKED_FOR = ("finite groups of what is left without a patch of a connected surface",)
+NOT_LOOKED_FOR = ("finite groups of what is left of a connected surface that is mostly curved",)
 _MOST_SETS = 10  # of components that are taken away, one by one
 _CAMERAS = 400
 _LEAST_LEFT = 0.5  # of the area: what is less does not dominate
@@ -45,6 +47,8 @@ def larger_groups(
     is_known = nearly is not None or any(one is not None and one.group.is_continuous for one in found)
     if not is_known:
         found.append(_off_revolution(surface, shape, tolerance))
+    if not any(one is not None for one in found):
+        found.append(off_flat_faces(surface, shape, tolerance))
     new = [one for one in found if one is not None and not (nearly is not None and nearly.group.contains(one.group))]
     larger = sorted(new, key=lambda one: -one.area_left)
     distinct: list[LargerGroup] = []
