@@ -106,7 +106,7 @@ class TextReporter:
                 self._say(f"{event.shard}: begun again after failure {event.attempt}. {event.reason}")
             case ObjectChecked():
                 self._say(f"the mesh has {event.group}, within {event.residual:.2g} of its radius")
-                self._say("\n".join(f"not looked for: {what}" for what in event.not_looked_for))
+                self._say("\n".join(event.notes))
             case ForeignShardsFound():
                 self._say(f"left alone, for they are no shards of this set: {', '.join(event.files)}")
             case WorkersGone():
@@ -147,7 +147,7 @@ class JsonReporter:
             case Started():
                 self._line("started", images_there=event.images_there, shards_there=event.shards_there)
             case ObjectChecked():
-                about = {"group": event.group, "residual": event.residual, "not_looked_for": event.not_looked_for}
+                about = {"group": event.group, "residual": event.residual, "notes": event.notes}
                 self._line("object_checked", **about)
             case ForeignShardsFound():
                 self._line("strangers_found", files=event.files)

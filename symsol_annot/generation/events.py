@@ -27,12 +27,12 @@ class ObjectChecked:
     Attributes:
         group: in words, with what it nearly has.
         residual: how far the surface is from having it, in radii.
-        not_looked_for: in words.
+        notes: what was not looked for, and what is close to the tolerance; whole lines.
     """
 
     group: str
     residual: float
-    not_looked_for: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)

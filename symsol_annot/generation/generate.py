@@ -111,7 +111,7 @@ def generate(
 def _check(plan: SetPlan, on_event: OnEvent) -> None:
     checked = check_object(plan.spec)
     if checked.group is not None:
-        on_event(ObjectChecked(checked.group, checked.residual, checked.not_looked_for))
+        on_event(ObjectChecked(checked.group, checked.residual, checked.notes))
 
 
 def damaged_shards(folder: Path, manifest: Manifest) -> list[ShardEntry]:

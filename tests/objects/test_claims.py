@@ -67,7 +67,7 @@ def test_a_group_that_is_all_that_the_mesh_has_is_accepted_and_named(write, grou
     checked = check_object(read_object(write(toml_of(group), obj_of(solid))))
     assert checked.group.split()[0].rstrip(",") in {"D6", "C6", "C64", "C360", "D36", "D2", "D720", "I"}
     assert checked.residual < 1e-6
-    assert checked.not_looked_for
+    assert checked.notes
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_a_marking_of_which_a_part_alone_fixes_less_is_refused(write, facets, an
 def test_what_a_body_that_is_not_convex_may_hide_is_said_not_to_be_looked_for(write):
     profile = [(0, -0.6), (0.8, -0.6), (0.8, -0.2), (0.8, 0.2), (0.8, 0.6), (0.7, 0.6), (0.7, -0.5), (0, -0.5)]
     checked = check_object(read_object(write(toml_of(CYCLIC.format(64), TRIVIAL), dotted(0, profile=profile))))
-    assert any("not convex" in what for what in checked.not_looked_for)
+    assert any("not convex" in what for what in checked.notes)
 
 
 def test_a_round_body_of_facets_is_accepted_within_a_stated_offset(write):
@@ -184,3 +184,14 @@ def test_a_mesh_of_one_surface_may_declare_the_larger_group_of_what_it_hides(wri
     folder = write(toml.replace("dihedral", "cyclic"), obj_of(mug, materials=("clay",)))
     with pytest.raises(ObjectError, match=r"declares C360, 360 rotations, but the surface has 2: C2 about \(1, 0, 0\)"):
         check_object(read_object(folder))
+
+
+def test_a_group_that_another_tolerance_would_decide_otherwise_is_said_to_be_close(write):
+    vertices, triangles = SOLIDS["prism 6"][0]
+    nearly, farther = vertices * [1.0, 1.0 + 5e-5, 1.0], vertices * [1.0, 1.0 + 5e-4, 1.0]
+    checked = check_object(read_object(write(toml_of(DIHEDRAL.format(2)), obj_of((farther, triangles)))))
+    assert any(note.startswith("close to the tolerance: ") for note in checked.notes)
+    with pytest.raises(ObjectError, match=r"not invariant under body\.group|has 12: D6"):
+        check_object(read_object(write(toml_of(DIHEDRAL.format(2)), obj_of((nearly, triangles)))))
+    checked = check_object(read_object(write(toml_of(DIHEDRAL.format(6)), obj_of((vertices, triangles)))))
+    assert not any(note.startswith("close to") for note in checked.notes)

@@ -15,6 +15,7 @@ from symsol_annot.objects.checking.claims import (
     group_field,
     refuse_balls,
     refuse_other_group,
+    what_is_undecided,
     what_it_has,
 )
 from symsol_annot.objects.checking.shell import breaks_itself, shell_of
@@ -35,12 +36,12 @@ class Checked:
     Attributes:
         group: the group in words; None of a built-in object, whose declarations were compared before it was shipped.
         residual: how far the surface is from having it, in radii.
-        not_looked_for: what may be there and was not looked for, in words.
+        notes: what may be there and was not looked for, and what another tolerance would decide otherwise; whole lines.
     """
 
     group: str | None
     residual: float
-    not_looked_for: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def check_object(spec: ObjectSpec, *, compares_builtin: bool = False) -> Checked:
@@ -71,7 +72,8 @@ def check_object(spec: ObjectSpec, *, compares_builtin: bool = False) -> Checked
     unseen = found.not_looked_for
     if spec.marking is not None and not spec.has_general_rule:
         unseen += refuse_parts_that_fix_no_rotation(spec)
-    return Checked(what_it_has(found), max(off, found.shape.residual), unseen)
+    notes = (*(f"not looked for: {what}" for what in unseen), *what_is_undecided(found))
+    return Checked(what_it_has(found), max(off, found.shape.residual), notes)
 
 
 def _farthest_off(spec: ObjectSpec, shell: Surface) -> float:

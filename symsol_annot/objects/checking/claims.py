@@ -9,7 +9,7 @@ import numpy as np
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.found import ALL_ROTATIONS, CIRCLE_STEPS, Group, LargerGroup, Symmetries
 from symsol_annot.objects.finding.kinds import fitted_group
-from symsol_annot.objects.finding.report import axis_in_words
+from symsol_annot.objects.finding.report import axis_in_words, is_close
 from symsol_annot.objects.finding.roundness import off_ball
 from symsol_annot.objects.finding.surface import Points, Surface
 from symsol_annot.objects.finding.symmetries import find_symmetries
@@ -81,6 +81,20 @@ def what_it_has(found: Symmetries) -> str:
     axis = f" about {axis_in_words(group.axes[0])}" if group.kind in {"cyclic", "dihedral"} and group.axes else ""
     almost = "" if nearly is None else f", or {nearly.group.name} within {nearly.deviation:.2g} of the radius"
     return f"{group.name}{axis}{almost}"
+
+
+def what_is_undecided(found: Symmetries) -> tuple[str, ...]:
+    """Return in words what another tolerance might decide otherwise."""
+    shape, failed = found.shape, found.shape.failed
+    if not is_close(shape, found.tolerance):
+        return ()
+    missed = f"; the next candidate fails by {failed.residual:.2g}" if failed is not None else ""
+    return (
+        (
+            f"close to the tolerance: points are carried {shape.residual:.2g} of the radius off the surface, "
+            f"{found.tolerance:g} is allowed{missed}; look at the mesh, another tolerance might decide otherwise"
+        ),
+    )
 
 
 def _has_all(spec: ObjectSpec, group: Group, centre: Points) -> bool:

@@ -56,11 +56,15 @@ def _certainty(shape: CertifiedGroup, tolerance: float) -> list[str]:
         axis = ", ".join(f"{round(value, 4) + 0.0:g}" for value in shape.failed.axis)
         angle = np.degrees(shape.failed.angle_rad)
         lines.append(f"next         a turn by {angle:.4g} degrees about ({axis}) fails by {shape.failed.residual:.2g}")
-    is_close = shape.residual > tolerance / _CLOSE and not shape.group.is_continuous
-    is_near_miss = shape.failed is not None and shape.failed.residual < tolerance * _CLOSE
-    if is_close or is_near_miss:
+    if is_close(shape, tolerance):
         lines.append("             that is close to the tolerance: look at the mesh, and state --tolerance")
     return lines
+
+
+def is_close(shape: CertifiedGroup, tolerance: float) -> bool:
+    """Tell whether a group, or the nearest miss, is so close to the tolerance that another might decide otherwise."""
+    is_near_miss = shape.failed is not None and shape.failed.residual < tolerance * _CLOSE
+    return is_near_miss or (shape.residual > tolerance / _CLOSE and not shape.group.is_continuous)
 
 
 def _roundness_in_words(nearly: Roundness) -> str:
