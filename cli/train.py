@@ -12,7 +12,8 @@ from symsol_annot_cli.parameters import DATA, example, progress_bar
 from symsol_annot_cli.terminal import say
 from tqdm import tqdm
 
-from symsol_annot.bench.models.recipe import builtin_recipes, load_recipe
+from symsol_annot.bench.models.kinds import Recipe
+from symsol_annot.bench.models.recipe import RecipeFile, builtin_recipes, load_recipe
 from symsol_annot.bench.predictions.truth import find_set
 from symsol_annot.errors import DataError, SettingsError
 from symsol_annot.sets import dataset
@@ -116,15 +117,7 @@ def train(
     with dataset.load(_set_in(data, object_name), "train") as images:
         if object_name not in (None, images.object):
             raise DataError(f"{images.folder}: is a set of {images.object}, not of {object_name}")
-        wanted = file.for_object(images.object, has_marking=images.has_marking)
-        if learning_rate is not None:
-            ratio = learning_rate / wanted.learning_rates[0]
-            wanted = replace(wanted, learning_rates=tuple(rate * ratio for rate in wanted.learning_rates))
-        wanted = replace(wanted, batch_size=batch_size or wanted.batch_size)
-        if validation_images is not None:
-            wanted = replace(wanted, validation_images=validation_images)
-        if faults := list(wanted.faults()):
-            raise SettingsError(f"{file.name}: " + "; ".join(faults))
+        wanted = _changed(file, images, batch_size, learning_rate, validation_images)
         place = out or Path("runs") / f"{images.object}-{file.name}"
         from symsol_annot.bench.models.training import loop  # noqa: PLC0415 - slow to import
 
@@ -151,6 +144,26 @@ def train(
     if has_events:
         say(f"  tensorboard --logdir {place.parent}")
     say(f"  symsol-annot predict {place} --data {data}")
+
+
+def _changed(
+    file: RecipeFile,
+    images: dataset.Dataset,
+    batch_size: int | None,
+    learning_rate: float | None,
+    validation_images: int | None,
+) -> Recipe:
+    """Return the recipe for the set's object, with what the command line gives in the place of its own."""
+    wanted = file.for_object(images.object, has_marking=images.has_marking)
+    if learning_rate is not None:
+        ratio = learning_rate / wanted.learning_rates[0]
+        wanted = replace(wanted, learning_rates=tuple(rate * ratio for rate in wanted.learning_rates))
+    wanted = replace(wanted, batch_size=batch_size or wanted.batch_size)
+    if validation_images is not None:
+        wanted = replace(wanted, validation_images=validation_images)
+    if faults := list(wanted.faults()):
+        raise SettingsError(f"{file.name}: " + "; ".join(faults))
+    return wanted
 
 
 def _set_in(data: Path, object_name: str | None) -> Path:

@@ -135,12 +135,16 @@ def score(
         scored |= dict(score_arrays(truth, attributes, arrays, intervals=intervals).tracks)
     for name, ask in asked.items():
         run = GridRun(TRACKS[name], truth, grid_attributes(TRACKS[name], dataset, asking, method))
-        answer = answers_of(TRACKS[name], ask, dataset, asking)
-        for start in range(0, len(dataset), _IMAGES_AT_ONCE):
-            run.add({i: answer(i) for i in range(start, min(start + _IMAGES_AT_ONCE, len(dataset)))})
+        _add_answers(run, answers_of(TRACKS[name], ask, dataset, asking), len(dataset))
         scored[name] = run.scores(intervals=intervals)
     tracks = {name: scored[name] for name in TRACKS if name in scored}
     return Scores(dataset.indices, dataset.is_whole, ObjectScores("", "", method, truth, tracks))
+
+
+def _add_answers(run: GridRun, answer: Callable[[int], Any], images: int) -> None:
+    """Score what a callable answers about each of so many images, some of them at once."""
+    for start in range(0, images, _IMAGES_AT_ONCE):
+        run.add({i: answer(i) for i in range(start, min(start + _IMAGES_AT_ONCE, images))})
 
 
 def refuse_no_dataset(dataset: Any) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -91,23 +92,42 @@ def retrieve(
     views = index.nearest(embed_dataset(test, size, on_images)[0], _VIEWS)
     weights = weights_of(views.distance, bandwidths)
     densities = [ViewDensity(R, w, bandwidths) for R, w in zip(views.rotation, weights, strict=True)]
-    resume = f"retrieval of {size} pixels from {train.fingerprint}, by symsol-annot {symsol_annot.__version__}"
-    write_hypotheses(path, test, lambda i: densities[i].hypotheses(), method=method, resume=resume)
-    if rule is not None:
-        classify = _claims(densities, rule, cells)
-        write_classifier(path, test, classify, method=method, level=level, batch_size=len(cells), resume=resume)
-    write_density(
-        path,
-        test,
-        lambda i, _: densities[i].on_cells(cells),
-        method=method,
-        floor=_FLOOR_SLACK * bandwidths.uniform / len(cells),
-        level=level,
-        batch_size=len(cells),
-        resume=resume,
-    )
+    writing: _Writing = {
+        "method": method,
+        "resume": f"retrieval of {size} pixels from {train.fingerprint}, by symsol-annot {symsol_annot.__version__}",
+    }
+    write_hypotheses(path, test, lambda i: densities[i].hypotheses(), **writing)
+    _write_grid_tracks(path, test, densities, cells, rule, _FLOOR_SLACK * bandwidths.uniform / len(cells), writing)
     tracks = ("hypotheses", "classifier", "density") if has_claims else ("hypotheses", "density")
     return Retrieved(tracks, bandwidths, log_density, rule, f)
+
+
+class _Writing(TypedDict):
+    """What all tracks are written with."""
+
+    method: str
+    resume: str
+
+
+def _write_grid_tracks(
+    path: Path,
+    test: Dataset,
+    densities: list[ViewDensity],
+    cells: Cells,
+    rule: ClaimRule | None,
+    floor: float,
+    writing: _Writing,
+) -> None:
+    """Write the claims, where there is a rule for them, and the densities."""
+    level, count = cells.index.level, len(cells)
+    if rule is not None:
+        claims = _claims(densities, rule, cells)
+        write_classifier(path, test, claims, level=level, batch_size=count, **writing)
+
+    def density(i: int, _: Rotations) -> npt.NDArray[np.float64]:
+        return densities[i].on_cells(cells)
+
+    write_density(path, test, density, floor=floor, level=level, batch_size=count, **writing)
 
 
 def _refuse(test: Dataset, train: Dataset) -> None:
