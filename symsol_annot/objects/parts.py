@@ -19,6 +19,7 @@ MAX_PARTS = 255  # their ids are bytes, and 0 is the background's
 BODY_COLOUR: Colour = (0.72, 0.80, 0.94)
 MARKING_COLOUR: Colour = (0.95, 0.16, 0.04)
 DEFAULT_TOLERANCE_PX = 0.125  # less than one of the 4 points of a pixel
+_SAME_COLOUR = 0.02  # of linear RGB: under five of 255 levels where it is bright
 MOST_OFFSET = 0.02  # radii: at 224 pixels, under two
 _GOLDEN = (5**0.5 - 1.0) / 2.0  # of a turn of the hue from one part to the next: no two come close
 
@@ -139,8 +140,8 @@ def breaking_parts(
     """Return which parts break the group (G, 3, 3) of the parts named `of`, and what leaves all of them in place.
 
     Raises:
-        ObjectError: a part has no faces, or is closed and inside out, or the group carries one breaking part onto
-            another of the same colour.
+        ObjectError: a part has no faces, or is closed and inside out, or painted on another in its colour, or the group
+            carries one breaking part onto another of the same colour.
     """
     for number, part in enumerate(parts):
         if not (mesh.part_ids == BODY_ID + number).any():
@@ -148,6 +149,7 @@ def breaking_parts(
                 f"part.{number}.select.material", f"selects nothing: no face has the material {shown(part.material)}"
             )
     _refuse_inside_out(toml, mesh, parts)
+    _refuse_unseen_paint(toml, mesh, parts)
     others = [BODY_ID + number for number, part in enumerate(parts) if part.name not in of]
     kept = {part: stabiliser_of_part(mesh.triangles_of(part), group) for part in others}
     ids = tuple(part for part, mask in kept.items() if not mask.all())
@@ -188,6 +190,26 @@ def _refuse_look_alikes(
                     f"{other.name!r} looks like {one.name!r}: a rotation of the group carries one onto the other, and "
                     "they have one colour. Make them one part, or give them different colours",
                 )
+
+
+def _refuse_unseen_paint(toml: ObjectToml, mesh: Mesh, parts: tuple[Part, ...]) -> None:
+    """Refuse a part that is painted on another in its colour: labels would tell what no picture shows."""
+    part_of = {}
+    meeting = set()
+    for part, corners in zip(mesh.part_ids.tolist(), mesh.triangles.tolist(), strict=True):
+        for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+            part_of[start, end] = part
+            other = part_of.get((end, start), part)
+            if other != part:
+                meeting.add((min(part, other), max(part, other)))
+    for first, second in sorted(meeting):
+        one, other = parts[first - BODY_ID], parts[second - BODY_ID]
+        if max(abs(a - b) for a, b in zip(one.colour, other.colour, strict=True)) < _SAME_COLOUR:
+            raise toml.fault(
+                f"part.{second - BODY_ID}.colour",
+                f"{other.name!r} is painted on {one.name!r} in its colour, so that no picture shows where; give it "
+                "another colour, or make them one part",
+            )
 
 
 def _refuse_repeated(toml: ObjectToml, field: str, values: list[str], what: str) -> None:

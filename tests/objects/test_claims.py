@@ -195,3 +195,15 @@ def test_a_group_that_another_tolerance_would_decide_otherwise_is_said_to_be_clo
         check_object(read_object(write(toml_of(DIHEDRAL.format(2)), obj_of((nearly, triangles)))))
     checked = check_object(read_object(write(toml_of(DIHEDRAL.format(6)), obj_of((vertices, triangles)))))
     assert not any(note.startswith("close to") for note in checked.notes)
+
+
+def test_normals_without_the_symmetries_of_the_surface_are_refused(write):
+    """A prism one of whose sides is smoothed: of no other brightness by its shape, but by its normals."""
+    solid = SOLIDS["prism 6"][0]
+    lines = obj_of(solid).splitlines()
+    face = next(index for index, line in enumerate(lines) if line.startswith("f "))
+    a, b, c = lines[face].split()[1:]
+    leaning = [f"vn {x} {y} {z}" for x, y, z in [(0.6, 0, 0.8), (0, 0.6, 0.8), (-0.6, 0, 0.8)]]
+    lines[face : face + 1] = [*leaning, f"f {a}//1 {b}//2 {c}//3"]
+    with pytest.raises(ObjectError, match=r"the shading of the surface .* at \(.*\) .* differs by \d+%"):
+        check_object(read_object(write(toml_of(DIHEDRAL.format(6)), "\n".join(lines) + "\n")))

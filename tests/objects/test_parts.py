@@ -96,6 +96,13 @@ def test_a_fault_of_a_part_names_what_and_where(write, name):
     assert expected in message
 
 
+def test_paint_in_the_colour_of_what_it_is_on_is_refused(fault_of):
+    parts = [("body", "clay", (0.5, 0.5, 0.5)), ("dot", "paint", (0.5, 0.505, 0.5))]
+    message, path = fault_of(parted_toml(parts, D8), painted((0, "paint")))
+    assert message.startswith(f"{path}, line ")
+    assert "part.1.colour: 'dot' is painted on 'body' in its colour" in message
+
+
 def test_a_part_without_faces_is_refused(fault_of):
     parts = [("body", "clay", None), ("handle", "grip", None), ("lid", "lid", None)]
     message, path = fault_of(parted_toml(parts, D8), mug())

@@ -18,11 +18,13 @@ from symsol_annot.objects.checking.claims import (
     what_is_undecided,
     what_it_has,
 )
+from symsol_annot.objects.checking.shading import refuse_other_shading
 from symsol_annot.objects.checking.shell import breaks_itself, shell_of
 from symsol_annot.objects.finding.found import Symmetries
 from symsol_annot.objects.finding.surface import Surface
 from symsol_annot.objects.spec import ObjectSpec, is_builtin
 from symsol_annot.objects.surface import SURFACE_POINTS, SURFACE_TOLERANCE, Points, surface_offsets, surface_points
+from symsol_annot.rotations.so3 import Rotations
 
 _ELEMENTS = 12
 _FEW_POINTS = 8  # most elements move one of a few points off the marking
@@ -68,6 +70,8 @@ def check_object(spec: ObjectSpec, *, compares_builtin: bool = False) -> Checked
     if not off <= allowed:
         raise ObjectError(_not_invariant(spec, found, off, allowed))
     refuse_other_group(spec, found)
+    if spec.max_offset == 0.0:
+        refuse_other_shading(spec, shell, _sampled(spec))
     _check_marking(spec)
     unseen = found.not_looked_for
     if spec.marking is not None and not spec.has_general_rule:
@@ -78,11 +82,15 @@ def check_object(spec: ObjectSpec, *, compares_builtin: bool = False) -> Checked
 
 def _farthest_off(spec: ObjectSpec, shell: Surface) -> float:
     """Return how far a sample of the declared group carries points off the surface, in radii; all parts are kept."""
-    group = spec.symmetry_group
-    sampled = group[np.unique(np.linspace(0, len(group) - 1, _ELEMENTS).astype(int))]
-    elements = np.concatenate([group[1:2], sampled])
+    elements = _sampled(spec)
     pieces = [shell.corners[shell.part_of == part] for part in range(len(shell.part_names))]
     return max(float(surface_offsets(surface_points(piece), piece, elements).max()) for piece in pieces)
+
+
+def _sampled(spec: ObjectSpec) -> Rotations:
+    """Return some elements of the declared group (n, 3, 3), the second among them."""
+    group = spec.symmetry_group
+    return np.concatenate([group[1:2], group[np.unique(np.linspace(0, len(group) - 1, _ELEMENTS).astype(int))]])
 
 
 def _not_invariant(spec: ObjectSpec, found: Symmetries, off: float, allowed: float) -> str:
