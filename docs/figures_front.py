@@ -12,7 +12,7 @@ from symsol_annot.plotting.rotations import draw_pi_ball
 
 SHOWN, HIDDEN = 1, 4  # images of the sample set's test split
 FOLDER = Path(__file__).parent / "images"
-INCHES, DOTS_PER_INCH = (2.8, 3.7), 200  # shown at 280 pixels: sharp on a screen of twice the density
+INCHES, DOTS_PER_INCH = (2.8, 3.7), 200  # shown at 265 pixels: sharp on a screen of twice the density
 
 
 def main():
