@@ -48,7 +48,7 @@ _FRAMES = "; ".join(f"{name}: {frame.words}" for name, frame in FRAMES.items())
     help="The predictions file; where it is there, the track is added to it.",
 )
 @click.option("--method", help="What the method calls itself.  [default: the name of IN]")
-@click.option("--array", metavar="NAME", help="Which array holds the rotations.  [default: the only one]")
+@click.option("--array", metavar="NAME", help="Name of the array that holds the rotations, where there are several.")
 @click.option("--form", type=NearChoice(list(FORMS)), help=f"What the numbers are. {_FORMS}.  [default: by the shape]")
 @click.option(
     "--order", type=NearChoice(ORDERS), help="The order of quaternions: whether the scalar w is first or last."

@@ -19,10 +19,10 @@ from symsol_annot.rendering import doctor as examination
     type=click.Path(path_type=Path),
     default=Path("data"),
     show_default=True,
-    help="Folder whose disk is looked at.",
+    help="Folder whose disk space is checked.",
 )
 def doctor(*, install: bool, out: Path) -> None:
-    """Say what this machine lacks for rendering, and the one line that installs it."""
+    """Check what rendering needs, and print the one line that installs what this machine lacks."""
     if install:
         examination.install_missing_packages()
     is_well = True

@@ -20,7 +20,9 @@ from symsol_annot.objects.spec import ObjectSpec
     help="Folder of the BOP dataset, missing or empty.",
 )
 @SPLIT
-@click.option("--count", type=click.IntRange(min=1), help="Only the first so many images of each set.  [default: all]")
+@click.option(
+    "--count", type=click.IntRange(min=1), help="Number of images per set, from the first on.  [default: all]"
+)
 @click.option(
     "--radius-mm",
     type=float,
@@ -33,7 +35,7 @@ from symsol_annot.objects.spec import ObjectSpec
     type=click.Choice(["object", "body"]),
     default="object",
     show_default=True,
-    help="Which symmetries models_info.json lists: those of the object with its marking, or of the body without it.",
+    help="Symmetries that models_info.json lists: those of the object with its marking, or of the body without it.",
 )
 @click.option(
     "--object",

@@ -38,7 +38,9 @@ from symsol_annot.sets.dataset import load
 )
 @click.option("--method", help="Name of the method.  [default: the CSV's name without its ending]")
 @click.option("--alike", is_flag=True, help="Count all estimates of an image alike, whatever their scores.")
-@click.option("--fill-missing", is_flag=True, help="Give images without an estimate the identity, else refused.")
+@click.option(
+    "--fill-missing", is_flag=True, help="Give images without an estimate the identity; otherwise they are refused."
+)
 def import_bop_results(
     path: Path,
     data: Path,

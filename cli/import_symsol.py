@@ -30,7 +30,7 @@ from symsol_annot.system.text.names import SPLITS
     "objects",
     multiple=True,
     type=NearChoice(OBJECTS),
-    help="Which object is imported; may be repeated.  [default: all]",
+    help="Object to import; may be repeated.  [default: all]",
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Number of threads.  [default: all cores]")
 def import_symsol(path: Path, out: Path, objects: tuple[str, ...], workers: int | None) -> None:

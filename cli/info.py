@@ -19,7 +19,7 @@ from symsol_annot.system.text.names import SPLITS
 @SET_FOLDER
 @click.option("--json", "is_json", is_flag=True, help="Print it as JSON, for programs.")
 def info(folder: Path, *, is_json: bool) -> None:
-    """Say what a set holds: counts, sizes of the symmetry sets, and the fingerprints that predictions carry."""
+    """Print what a set holds: counts, sizes of the symmetry sets, and the fingerprints that predictions carry."""
     manifest = read_manifest(folder)
     if is_json:
         say(json.dumps(_document(folder, manifest), indent=1, ensure_ascii=True))

@@ -51,6 +51,17 @@ class NearChoice(click.Choice):  # type: ignore[type-arg]  # generic for the che
             self.fail(f"{value!r} is not one of {', '.join(words)}{nearest(str(value), words)}", param, ctx)
 
 
+class Group(click.Group):
+    """A command of several, whose help has the whole summary of each."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the name and the first paragraph of each command's help."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            rows = ((name, ((command and command.help) or "").partition("\n\n")[0]) for name, command in commands)
+            formatter.write_dl([(name, " ".join(text.split())) for name, text in rows])
+
+
 def example(*lines: str) -> str:
     """Return the last block of a command's help: example lines to copy into a shell."""
     return "\n".join(["\b", "Example:", *(f"  {line}" for line in lines)])
@@ -68,12 +79,12 @@ ENGINE = click.option(
     "--engine", type=click.Choice(list(ENGINES)), default=DEFAULT_ENGINE, show_default=True, help="Blender's engine."
 )
 SPLIT = click.option(
-    "--split", type=NearChoice(SPLITS), default="test", show_default=True, help="Which images of the set are meant."
+    "--split", type=NearChoice(SPLITS), default="test", show_default=True, help="Split whose images are used."
 )
 DECIMALS = click.option(
     "--decimals",
     type=click.IntRange(LEAST_DECIMALS, MOST_DECIMALS),
-    help="Round each image's figures in scores.json to so many decimals, for a smaller file.  [default: 12 digits]",
+    help="Number of decimals of each image's figures in scores.json; fewer make a smaller file.  [default: 12 digits]",
 )
 SHOWN_PREDICTIONS = click.option(
     "--predictions",
@@ -90,7 +101,7 @@ SHOWN_SPLITS = click.option(
     multiple=True,
     default=("test",),
     show_default=True,
-    help="Which images of a set are shown; may be repeated.",
+    help="Split whose images are shown; may be repeated.",
 )
 PREDICTIONS = click.argument("paths", metavar="PREDS.H5...", nargs=-1, required=True, type=click.Path(path_type=Path))
 DATA = click.option(

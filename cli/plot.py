@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, NearChoice, example
+from symsol_annot_cli.parameters import DATA, SET_FOLDER, SPLIT, Group, NearChoice, example
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
@@ -28,11 +28,11 @@ _IMAGES = click.option(
     type=click.IntRange(min=0),
     multiple=True,
     default=(0,),
-    help="Index of an image; may be repeated.  [0]",
+    help="Index of an image; may be repeated.  [default: 0]",
 )
 
 
-@click.group()
+@click.group(cls=Group)
 def plot() -> None:
     """Draw sets, predictions, scores and losses, for papers and for looking."""
 
@@ -41,7 +41,7 @@ def plot() -> None:
 @SET_FOLDER
 @SPLIT
 @click.option("--start", type=click.IntRange(min=0), default=0, show_default=True, help="Index of the first image.")
-@click.option("--count", type=click.IntRange(min=1, max=200), default=16, show_default=True, help="How many images.")
+@click.option("--count", type=click.IntRange(min=1, max=200), default=16, show_default=True, help="Number of images.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The picture.  [default: DATA-SPLIT.png]")
 def images(folder: Path, split: str, start: int, count: int, out: Path | None) -> None:
     """Draw images with their segmentations and symmetry sets, on one sheet."""
@@ -108,7 +108,7 @@ def sets(
 def slice_(
     checkpoints: tuple[Path, ...], data: Path, split: str, image: int, axis: str, reach: float, out: Path
 ) -> None:
-    """Draw what classifiers say of the rotations that turn an image's own about one axis."""
+    """Draw the probabilities that classifiers give along a turn of an image's rotation about one axis."""
     check_extra("bench", "plotting slices")
     check_extra("plot", "plotting")
     from symsol_annot.bench.models.plots import slices as slice_plots  # noqa: PLC0415 - slow to import
@@ -128,7 +128,7 @@ def _add_scores_plot(name: str, draw: Callable[[Sequence[Path], Path, str, str],
     @plot.command(name, help=about, epilog=example(line))
     @click.argument("paths", metavar="SCORES.JSON...", nargs=-1, required=True, type=click.Path(path_type=Path))
     @click.option("--object", "object_name", metavar="NAME", required=True, help="An object in the scores.")
-    @click.option("--stratum", type=NearChoice(STRATA), default="all", show_default=True, help="Which images.")
+    @click.option("--stratum", type=NearChoice(STRATA), default="all", show_default=True, help="Stratum of the images.")
     @_OUT
     def draw_scores(paths: tuple[Path, ...], object_name: str, stratum: str, out: Path) -> None:
         check_extra("plot", "plotting")
@@ -150,12 +150,12 @@ _add_scores_plot(
 _add_scores_plot(
     "calibration",
     score_plots.plot_calibration,
-    "Draw how much of the sets the smallest regions of densities hold, over the regions' mass.",
+    "Draw the share of the symmetry sets in the smallest regions of densities, over the regions' mass.",
 )
 
 
 @plot.command(epilog=example("symsol-annot plot losses --out losses.png"))
-@click.option("--toy", is_flag=True, help="Hypotheses in a plane that converge, instead of curves.")
+@click.option("--toy", is_flag=True, help="Draw hypotheses in a plane that converge, instead of curves.")
 @_OUT
 def losses(*, toy: bool, out: Path) -> None:
     """Draw the losses of the thesis: figures 4.5, A.1 and A.2 as curves, or figures 4.2 to 4.4 as a toy."""

@@ -18,7 +18,10 @@ from symsol_annot.system.machine import check_extra
 @click.option("--version", help="Version of the data, like 1.0.0.")
 @click.option("--date", help="Date of publication, like 2026-01-31.")
 @click.option("--url", help="Address where the data will be.")
-def publish(folder: Path, out: Path, authors: tuple[str, ...], **texts: str | None) -> None:
+@click.option(
+    "--webdataset", "as_webdataset", is_flag=True, help="Write each shard as a WebDataset's tar file as well."
+)
+def publish(folder: Path, out: Path, authors: tuple[str, ...], *, as_webdataset: bool, **texts: str | None) -> None:
     """Make what a host needs: shards, archives, a Parquet mirror, a dataset card, Croissant metadata, a citation.
 
     DATA is a set like data/cylO, or a folder of sets like data. The sets are verified first. Shards are hard links
@@ -37,7 +40,7 @@ def publish(folder: Path, out: Path, authors: tuple[str, ...], **texts: str | No
     sets = sets_in(folder)
     shards = sum(len(published.manifest.shards) for published in sets)
     with progress_bar(2 * shards, "shard") as bar:  # verified, then published
-        publication.publish(sets, out, about, bar.update)
+        publication.publish(sets, out, about, bar.update, as_webdataset=as_webdataset)
     images = sum(entry.images for published in sets for entry in published.manifest.shards)
     say(f"{out}: {', '.join(published.name for published in sets)}: {shards} shards, {images} images")
     say(f"Next:\n  (cd {out} && sha256sum -c SHA256SUMS)\n  and read {out}/README.md, the dataset card")

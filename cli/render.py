@@ -57,7 +57,7 @@ _MIB = 2**20
     type=click.Choice(ANNOTATE_CHOICES),
     default=ANNOTATE_CHOICES[0],
     show_default=True,
-    help="Which splits get symmetry sets.",
+    help="Splits that get symmetry sets.",
 )
 @click.option(
     "--annotate-method",
@@ -102,7 +102,7 @@ _MIB = 2**20
     help="A worker process that gives no sign of life for this long is ended, and its shard is begun again.",
 )
 @click.option(
-    "--depth", is_flag=True, help="Store each image's depth map, too, which the engine opengl tells; shards get larger."
+    "--depth", is_flag=True, help="Store a depth map per image as well (engine opengl only); shards get larger."
 )
 @click.option("--repair", is_flag=True, help="Make damaged or missing shards again, and replace foreign ones.")
 @click.option(
@@ -148,7 +148,7 @@ def render(
         try:
             manifest = generate(plan, folder, open_executor, report, repair=repair)
         except KeyboardInterrupt:
-            say(f"Finished shards in {folder} are kept; the same command goes on.", err=True)
+            say(f"Finished shards in {folder} are kept; re-running the command resumes it.", err=True)
             raise
     _summarise(folder, manifest, report.tally)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from shlex import quote
 
 import click
-from symsol_annot_cli.parameters import ENGINE, SET_FOLDER, SIZE, ObjectType, example
+from symsol_annot_cli.parameters import ENGINE, SET_FOLDER, SIZE, Group, ObjectType, example
 from symsol_annot_cli.reporting import reporter
 from symsol_annot_cli.terminal import say
 
@@ -58,7 +58,7 @@ class _HexType(click.ParamType):  # type: ignore[type-arg]  # generic for the ch
         return found
 
 
-@click.group()
+@click.group(cls=Group)
 def seal() -> None:
     """Make a test whose labels are secret until its seed is revealed, and check it then."""
 
@@ -128,7 +128,11 @@ def reveal(folder: Path) -> None:
 @click.option("--seed", type=_HexType(SEED_DIGITS), required=True, help="The seed that was revealed.")
 @click.option("--digest", type=_HexType(64), help="The digest that was published beforehand, to be compared as well.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("checked"), show_default=True, help="Folder of the check."
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("checked"),
+    show_default=True,
+    help="Folder for what is made again.",
 )
 @_OWN_OBJECT
 @_WORKERS
@@ -162,7 +166,7 @@ def _made(folder: Path, spec: ObjectSpec | None, workers: int | None) -> making.
         try:
             return making.render(folder, _executor(workers), _software, report, given=spec)
         except KeyboardInterrupt:
-            say(f"Finished shards in {folder} are kept; the same command goes on.", err=True)
+            say(f"Finished shards in {folder} are kept; re-running the command resumes it.", err=True)
             raise
 
 

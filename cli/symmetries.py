@@ -37,7 +37,7 @@ _DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while
     "--bop", type=click.Path(path_type=Path), help="Write the symmetries as BOP has them in models_info.json."
 )
 @click.option(
-    "--id", "number", type=click.IntRange(1), default=1, show_default=True, help="Of the model, in --bop's file."
+    "--id", "number", type=click.IntRange(1), default=1, show_default=True, help="Id of the model in the file of --bop."
 )
 def symmetries(
     mesh: str,

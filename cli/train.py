@@ -54,7 +54,7 @@ def _list(context: click.Context, _: click.Parameter, is_asked: bool) -> None:  
     "[default: the recipe's]",
 )
 @click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all that is drawn."
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of the random numbers."
 )
 @click.option("--batch-size", type=click.IntRange(min=2), help="Number of images per step.  [default: the recipe's]")
 @click.option(
@@ -194,7 +194,7 @@ class _Progress:
         if record.epochs_done and record.epochs_done == done:
             _say(f"extended after epoch {record.epochs_done}, from {planned} epochs to {record.epochs}")
         elif record.epochs_done:
-            _say(f"goes on after epoch {record.epochs_done} of {record.epochs}")
+            _say(f"resumes after epoch {record.epochs_done} of {record.epochs}")
 
     def advance(self, images: int) -> None:
         """Count a batch's images."""
@@ -227,7 +227,7 @@ class _Progress:
         if self._bar:
             self._bar.close()
         if isinstance(error, KeyboardInterrupt):
-            say(f"Finished epochs are kept in {self._place}; the same command goes on.", err=True)
+            say(f"Finished epochs are kept in {self._place}; re-running the command resumes it.", err=True)
 
 
 def _say(line: str) -> None:

@@ -41,7 +41,7 @@ def verify(folder: Path, audited: int | None, spec: ObjectSpec | None, seed: int
 
     DATA is a set like data/cylO, or a folder of sets like data. With --audit, images and candidate rotations
     are drawn again: members of a symmetry set must draw the image, rejected candidates must not. With --repair,
-    shards that are not as the manifest says are made again; they must then have its checksums.
+    shards that differ from the manifest are made again, and must then have its checksums.
     """
     faults = []
     sets = set_folders(folder) or [folder]

@@ -21,7 +21,11 @@ _LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)([^)#]+)(#[^)]*)?\)")
 _FENCED = re.compile(r"(^```.*?^```$)", re.DOTALL | re.MULTILINE)
 _INLINE = re.compile(r'<span class="arithmatex">\\\((.+?)\\\)</span>', re.DOTALL)
 _DISPLAYED = re.compile(r'<div class="arithmatex">\s*\\\[(.+?)\\\]\s*</div>', re.DOTALL)
-_BAR = "<mo>&#x0007C;</mo>"  # which browsers would set as an operator between two others
+_CELL = re.compile(r"<t[hd]\b.*?</t[hd]>", re.DOTALL)
+_CODE = re.compile(r"(<code>)([^<]+)(</code>)")
+_AFTER = re.compile(r"(?<=[_/.=-])(?=[\w<-])")
+_DIGEST = re.compile(r"\b([0-9a-f]{64})\b(?![^<]*>)")
+_BAR = re.compile(r"<mo>(&#x0007C;|&#x02016;)</mo>")  # which browsers would set as operators between two others
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -51,11 +55,27 @@ def _site_link(folder: Path, label: str, target: str, heading: str) -> str:
 
 
 def on_page_content(content: str, **_: object) -> str:
-    """Turn equations into MathML."""
+    """Turn equations into MathML, and say where long words of tables may break."""
+    content = _CELL.sub(_breakable, content)
     content = _INLINE.sub(lambda found: _mathml(found[1], "inline"), content)
     return _DISPLAYED.sub(lambda found: _mathml(found[1], "block"), content)
 
 
+def on_post_page(output: str, **_: object) -> str:
+    """Name the theme's search for those who hear the page."""
+    return output.replace(
+        'data-md-component="search" role="dialog"', 'data-md-component="search" role="dialog" aria-label="Search"'
+    )
+
+
+def _breakable(cell: re.Match[str]) -> str:
+    """Return a table's cell with places where its names and digests may break; what is copied stays as it was."""
+    names = _CODE.sub(lambda code: code[1] + _AFTER.sub("<wbr>", code[2]) + code[3], cell[0])
+    return _DIGEST.sub(
+        lambda digest: f'<span class="digest">{"<wbr>".join(re.findall(".{8}", digest[1]))}</span>', names
+    )
+
+
 def _mathml(equation: str, display: str) -> str:
     drawn = convert(html.unescape(equation), display=display)
-    return drawn.replace(_BAR, '<mo stretchy="false" lspace="0" rspace="0">|</mo>')
+    return _BAR.sub(r'<mo stretchy="false" lspace="0" rspace="0">\1</mo>', drawn)

@@ -96,22 +96,18 @@ def page(document):
         *("# The groups of real meshes", "", INTRODUCTION.format(**document), "", summary, ""),
         f"Groups: {', '.join(f'{name} {count}' for name, count in counts)}.",
         "",
-        "| package | mesh | triangles | group | residual | bound | not bounded | next | round within | larger | s |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| mesh | triangles | group | residual | bound | next | larger |",
+        "|---|---|---|---|---|---|---|",
     ]
     for row in rows:
+        name = f"`{row['package']}/{row['mesh']}`"
         if "refused" in row:
-            lines.append(
-                f"| {row['package']} | {row['mesh']} | {row.get('triangles', '')} | refused: {row['refused']} |||||||"
-            )
+            lines.append(f"| {name} | {row.get('triangles', '')} | refused: {row['refused']} |||||")
             continue
-        nearly = row["round"]
         lines.append(
-            f"| {row['package']} | {row['mesh']} | {row['triangles']} | {row['group']} | {row['residual']:.1e} "
-            f"| {row['bound']:.1e} | {row['triangles_not_bounded']} "
+            f"| {name} | {row['triangles']} | {row['group']} | {row['residual']:.1e} | {row['bound']:.1e} "
             f"| {'' if row['next_failed'] is None else format(row['next_failed'], '.1e')} "
-            f"| {'' if nearly is None else format(nearly['within'], '.1e')} "
-            f"| {'; '.join(one['group'] + ' but for ' + one['but_for'] for one in row['larger'])} | {row['seconds']} |"
+            f"| {'; '.join(one['group'] + ' but for ' + one['but_for'] for one in row['larger'])} |"
         )
     return "\n".join(lines) + "\n"
 

@@ -246,7 +246,7 @@ class _Execution:
         if self._crashes[entry.file] > MAX_CRASHES_PER_SHARD:
             raise type(error)(
                 f"{entry.file}: {self._crashes[entry.file]} workers were lost while they made it, and it is given up. "
-                f"The last: {error}\nFinished shards are kept: the same command goes on from there. "
+                f"The last: {error}\nFinished shards are kept: re-running the command resumes it. "
                 "`symsol-annot doctor` tells what Blender may be missing here."
             )
         self._tell(ShardBegunAgain(entry.file, error.worker, self._crashes[entry.file], str(error)))
@@ -324,7 +324,7 @@ class _Execution:
             raise ClusterError(
                 f"{made.worker} makes shards with other software than {self._first_worker}, so their bytes would "
                 f"differ ({'; '.join(_differences(self._versions, versions))}). Give all workers the same environment; "
-                "finished shards are kept, and the same command goes on"
+                "finished shards are kept, and re-running the command resumes it"
             )
 
     def _versions_there(self) -> dict[str, str] | None:

@@ -2,6 +2,7 @@
 
 import io
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from symsol_annot.system.machine import check_extra
 # Okabe and Ito's colours, which colour-blind people tell apart
 TRUTH, PREDICTED = "#0072b2", "#d55e00"
 SERIES = (TRUTH, PREDICTED, "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+PAPER_DPI = 200  # of a PNG, so that its letters are sharp on paper
 _UNDRAWABLE = r"Glyph \d+ .* missing from|Matplotlib currently does not support \w+ natively"  # a box stands there
 _DESCRIBED = {"png": "Description", "pdf": "Subject", "svg": "Description"}
 _DATELESS: dict[str, dict[str, None]] = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
@@ -38,13 +40,41 @@ def label_text(name: str) -> str:
     return f" {escaped}" if escaped.startswith("_") else escaped
 
 
-def write_figure(figure: Any, path: Path, description: str = "") -> None:
+def legend_mark(label: str, color: str = "0.35", marker: str = "", line: str = "", **style: Any) -> Any:
+    """Return a mark, or a piece of line, that stands in a legend beside its label."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=color, marker=marker, linestyle=line, label=label_text(label), **style)
+
+
+def legend_below(figure: Any, handles: Sequence[Any], columns: int = 2, title: str = "") -> None:
+    """Give a figure a legend below its panels, where it hides nothing.
+
+    Args:
+        figure: with the layout "constrained".
+        handles: what is named, each with its label.
+        columns: how many names stand in a row at most.
+        title: over the names.
+    """
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=max(1, min(columns, len(handles))),
+        title=title or None,
+        fontsize=8,
+        title_fontsize=8,
+        frameon=False,
+    )
+
+
+def write_figure(figure: Any, path: Path, description: str = "", dots_per_inch: int = PAPER_DPI) -> None:
     """Write a figure as its path's suffix says: .png, .pdf or .svg; the same figure gives the same bytes.
 
     Args:
         figure: what is drawn.
         path: a PNG, PDF or SVG.
         description: what the file says of itself beside the picture.
+        dots_per_inch: of a PNG, and of images inside the others.
 
     Raises:
         SettingsError: another suffix.
@@ -62,5 +92,5 @@ def write_figure(figure: Any, path: Path, description: str = "") -> None:
         warnings.catch_warnings(),
     ):
         warnings.filterwarnings("ignore", _UNDRAWABLE)
-        figure.savefig(drawn, format=form, dpi=100, metadata=metadata)
+        figure.savefig(drawn, format=form, dpi=dots_per_inch, metadata=metadata)
     write_atomically(path, drawn.getvalue())

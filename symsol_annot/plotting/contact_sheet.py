@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.plotting.canvas import new_figure, write_figure
-from symsol_annot.plotting.rotations import draw_pi_ball
+from symsol_annot.plotting.canvas import legend_below, new_figure, write_figure
+from symsol_annot.plotting.rotations import draw_pi_ball, marks_of_sets, size_text
 from symsol_annot.sets.dataset import Sample
 
 _THESIS_COLOURS = ((0, 0, 0), (140, 30, 30), (240, 128, 128))  # as in figure 5.2
 _GOLDEN = (5**0.5 - 1.0) / 2.0  # of a turn of the hue from one id to the next
-_COLUMN_INCHES = 2.2
+_COLUMN_INCHES, _LEGEND_INCHES = 2.2, 0.3
+_SHEET_DPI = 100  # a sheet is looked at, and has many images
+_TOWER = 12  # rows per column that are too many
 
 
 def _colours_of_ids() -> npt.NDArray[np.uint8]:
@@ -32,15 +34,17 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
     Args:
         samples: what to draw, row by row.
         path: a PNG, PDF or SVG.
-        columns: how many samples stand in a row.
+        columns: how many samples stand in a row; fewer where that leaves no place empty.
         has_marking: whether to say over a segmentation how much of the marking shows.
 
     Raises:
         OutputError: the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
+    columns = _columns_without_gaps(len(samples), columns)
     rows = -(-len(samples) // columns)
-    figure = new_figure(figsize=(3 * _COLUMN_INCHES * columns, (_COLUMN_INCHES + 0.3) * rows), layout="constrained")
+    size = (3 * _COLUMN_INCHES * columns, (_COLUMN_INCHES + 0.3) * rows + _LEGEND_INCHES)
+    figure = new_figure(figsize=size, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.02, h_pad=0.03, wspace=0.0, hspace=0.0)
     for number, sample in enumerate(samples):
         row, column = divmod(number, columns)
@@ -53,8 +57,16 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
             ball = figure.add_subplot(*places[2], projection="3d")
             members = sample.symmetry_set.members
             draw_pi_ball(ball, members, sample.rotation)
-            ball.set_title(f"|S| = {len(members)}", fontsize=8, pad=0)
-    write_figure(figure, path)
+            ball.set_title(size_text(len(members)), fontsize=8, pad=0)
+    if any(sample.is_annotated for sample in samples):
+        legend_below(figure, marks_of_sets())
+    write_figure(figure, path, dots_per_inch=_SHEET_DPI)
+
+
+def _columns_without_gaps(count: int, most: int) -> int:
+    """Return the largest number of columns, up to `most`, that leaves no empty place and makes no tower."""
+    fitting = [columns for columns in range(1, most + 1) if count % columns == 0 and count <= _TOWER * columns**2]
+    return max(fitting, default=most)
 
 
 def _draw_picture(axes: Any, pixels: npt.NDArray[np.uint8], caption: str) -> None:

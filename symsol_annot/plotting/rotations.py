@@ -9,7 +9,15 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from symsol_annot.errors import RotationError
-from symsol_annot.plotting.canvas import PREDICTED, TRUTH, label_text, new_figure, write_figure
+from symsol_annot.plotting.canvas import (
+    PREDICTED,
+    TRUTH,
+    label_text,
+    legend_below,
+    legend_mark,
+    new_figure,
+    write_figure,
+)
 from symsol_annot.rendering.frames.shading import srgb
 from symsol_annot.rotations.so3 import Angles, Rotations
 from symsol_annot.sets.dataset import Sample
@@ -19,6 +27,10 @@ _VIEW_DEG = {"elev": 18.0, "azim": -60.0}
 _MAP_FROM_CAMERA = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # towards the camera, right, up
 _SHOWN_FROM_MODEL = Rotation.from_euler("ZYX", [0.2, 0.2, 0.2]).as_matrix()  # Q
 _PICTURE_INCHES = {"pi-ball": 2.4, "mollweide": 3.6}
+_PLACES = {
+    "pi-ball": "rotation vectors (axis times angle) in the ball of radius π",
+    "mollweide": "place: where an axis of the model points, the camera in the middle; colour: the tilt about it",
+}
 _MANY = 60  # members from which on they are drawn small
 _OKLAB_TO_LMS = np.array(
     [[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]
@@ -55,7 +67,7 @@ def plot_sets(
     """
     width = _PICTURE_INCHES[kind]
     draw, projection = (draw_mollweide, "mollweide") if kind == "mollweide" else (draw_pi_ball, "3d")
-    figure = new_figure(figsize=(2.0 + width, 2.2 * len(samples) + 0.3), layout="constrained")
+    figure = new_figure(figsize=(2.0 + width, 2.2 * len(samples) + 0.9), layout="constrained")
     grid = figure.add_gridspec(len(samples), 2, width_ratios=(2.0, width))
     for row, sample in enumerate(samples):
         image = figure.add_subplot(grid[row, 0])
@@ -66,10 +78,28 @@ def plot_sets(
         members, found = sample.symmetry_set.members, None if predicted is None else predicted[row]
         draw(axes, members, sample.rotation, found)
         count = "" if found is None else f", {len(found)} predicted"
-        axes.set_title(f"|S| = {len(members)}{count}", fontsize=8, pad=4)
+        axes.set_title(f"{size_text(len(members))}{count}", fontsize=8, pad=4)
+    marks = marks_of_sets(kind, predicted=predicted is not None)
+    legend_below(figure, marks, columns=3, title=_PLACES[kind])
     if title:
         figure.suptitle(label_text(title), fontsize=9)
     write_figure(figure, path)
+
+
+def size_text(count: int) -> str:
+    """Return how large a set is, in words."""
+    return f"{count} rotation{'s' * (count != 1)}"
+
+
+def marks_of_sets(kind: str = "pi-ball", *, predicted: bool = False) -> list[Any]:
+    """Return what a legend says of the marks in the ball, or on the map, whose colours are tilts."""
+    truth, guess = (TRUTH, PREDICTED) if kind == "pi-ball" else ("0.35", "0.35")
+    marks = [
+        legend_mark("symmetry set", truth, "o", markersize=4),
+        legend_mark("drawn at this rotation", "black", "o", markersize=7, fillstyle="none"),
+        legend_mark("predicted", guess, "x", markersize=5),
+    ]
+    return marks if predicted else marks[:2]
 
 
 def draw_pi_ball(
@@ -161,7 +191,7 @@ def tilt_colours(tilt_rad: Angles) -> npt.NDArray[np.float64]:
 
 
 def _draw_tilt_wheel(axes: Any) -> None:
-    wheel = axes.inset_axes((0.9, 0.0, 0.13, 0.26), projection="polar")
+    wheel = axes.inset_axes((0.95, -0.1, 0.13, 0.26), projection="polar")
     turn = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
     wheel.bar(turn, 0.4, width=turn[1], bottom=0.6, color=tilt_colours(turn), linewidth=0)
     wheel.set(xticks=[], yticks=[], ylim=(0.0, 1.0))

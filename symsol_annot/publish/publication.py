@@ -14,6 +14,7 @@ from symsol_annot.publish.croissant import CROISSANT_NAME, GROUPS_NAME, croissan
 from symsol_annot.publish.figures import measure
 from symsol_annot.publish.parquet import groups_to_parquet, is_made_from, samples_to_parquet
 from symsol_annot.publish.sets import PublishedSet
+from symsol_annot.publish.webdataset import GROUP_FILE, group_to_npy, samples_to_tar
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import load
 from symsol_annot.sets.manifest import MANIFEST_NAME
@@ -28,7 +29,12 @@ _DESCRIPTION = (
 
 
 def publish(
-    sets: tuple[PublishedSet, ...], out: Path, about: About, on_shard: Callable[[], object] = lambda: None
+    sets: tuple[PublishedSet, ...],
+    out: Path,
+    about: About,
+    on_shard: Callable[[], object] = lambda: None,
+    *,
+    as_webdataset: bool = False,
 ) -> None:
     """Make a bundle of sets in a folder; the same call again resumes it, and keeps what is good.
 
@@ -39,17 +45,20 @@ def publish(
         out: an empty or missing folder, or one that holds this bundle.
         about: what the publisher says.
         on_shard: called twice per shard: when it is verified, and when it is in the bundle.
+        as_webdataset: whether the bundle has the sets as WebDataset as well.
 
     Raises:
         DataError: a set has faults; the message lists all of them.
         OutputError: the folder holds something else, or cannot be written to.
     """
     with held_folder(out):
-        bundle = open_bundle(out, _expected(sets))
+        bundle = open_bundle(out, _expected(sets, as_webdataset=as_webdataset))
         _refuse_faults(sets, on_shard)
         for published in sets:
             _put_set(bundle, published, on_shard)
             _put_archive(bundle, published)
+            if as_webdataset:
+                _put_webdataset(bundle, published)
         groups = {published.name: _group_of(published) for published in sets}
         parts = {published.name: published.manifest.settings.parts for published in sets}
         bundle.put(GROUPS_NAME, groups_to_parquet(groups, parts))
@@ -61,7 +70,7 @@ def publish(
         bundle.finish()
 
 
-def _expected(sets: tuple[PublishedSet, ...]) -> dict[str, str | None]:
+def _expected(sets: tuple[PublishedSet, ...], *, as_webdataset: bool) -> dict[str, str | None]:
     """Return name to SHA-256 of each file of the bundle; None where it is still to be seen."""
     expected: dict[str, str | None] = dict.fromkeys((*CARD_NAMES, CITATION_NAME, CROISSANT_NAME, GROUPS_NAME))
     for published in sets:
@@ -70,6 +79,9 @@ def _expected(sets: tuple[PublishedSet, ...]) -> dict[str, str | None]:
         for entry in published.manifest.shards:
             expected[published.shard_name(entry)] = entry.sha256
             expected[published.parquet_name(entry)] = None
+        if as_webdataset:
+            files = (GROUP_FILE, *(entry.file for entry in published.manifest.shards))
+            expected |= dict.fromkeys(map(published.webdataset_name, files))
     return expected
 
 
@@ -99,6 +111,15 @@ def _put_set(bundle: Bundle, published: PublishedSet, on_shard: Callable[[], obj
 def _put_archive(bundle: Bundle, published: PublishedSet) -> None:
     sha256 = bundle.stream(published.archive_name, lambda: archive_blocks(published.folder, published.name))
     bundle.put(published.digest_name, to_digest_line(sha256, Path(published.archive_name).name))
+
+
+def _put_webdataset(bundle: Bundle, published: PublishedSet) -> None:
+    bundle.put(published.webdataset_name(GROUP_FILE), group_to_npy(_group_of(published)))
+    for split in published.splits:
+        with load(published.folder, split) as dataset:
+            for entry in published.manifest.of_split(split):
+                samples = dataset[entry.first_index : entry.first_index + entry.images]
+                bundle.put(published.webdataset_name(entry.file), samples_to_tar(samples))
 
 
 def _group_of(published: PublishedSet) -> Rotations:

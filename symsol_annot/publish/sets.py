@@ -40,6 +40,10 @@ class PublishedSet:
         """Return the name of the same shard as Parquet."""
         return f"parquet/{self.name}/{entry.file.removesuffix('.h5')}.parquet"
 
+    def webdataset_name(self, file: str) -> str:
+        """Return the name in the bundle of a file of the WebDataset mirror, which has one per shard."""
+        return f"webdataset/{self.name}/{file.replace('.h5', '.tar')}"
+
     @property
     def archive_name(self) -> str:
         """The name in the bundle of the archive with the whole set, which `symsol-annot fetch` puts in place."""

@@ -150,7 +150,7 @@ class BlenderProcess:
         return RendererHungError(
             f"Blender's process {self.pid} gave no sign of life for {self._silence_s:g} s, and was ended. "
             f"Its last output:\n{_quoted(self._last_output())}\n"
-            "Finished shards are kept: the same command goes on from there, with a longer --time-limit if need be."
+            "Finished shards are kept: re-running the command resumes it, with a longer --time-limit if need be."
         )
 
     def _crash(self) -> RenderError:

@@ -82,7 +82,7 @@ def temporary_errors() -> Iterator[None]:
     except OSError as error:
         raise OutputError(
             f"temporary files cannot be written: {error}. Make room there, or set TMPDIR to another folder. "
-            "Finished shards are kept: the same command goes on"
+            "Finished shards are kept: re-running the command resumes it"
         ) from None
 
 

@@ -79,7 +79,7 @@ def processes_marked(mark):
 def test_ctrl_c_is_exit_code_130_and_a_message(interrupted):
     assert interrupted.code == 130
     assert "Interrupted." in interrupted.stderr
-    assert f"Finished shards in {interrupted.folder} are kept; the same command goes on" in interrupted.stderr
+    assert f"Finished shards in {interrupted.folder} are kept; re-running the command resumes it" in interrupted.stderr
     assert "Traceback" not in interrupted.stderr
     assert interrupted.stdout == ""
 

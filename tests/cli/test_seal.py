@@ -86,7 +86,7 @@ def test_a_render_that_is_interrupted_is_resumed(tmp_path):
     process.send_signal(signal.SIGINT)
     _, said = process.communicate()
     assert process.returncode == 130, said
-    assert "the same command goes on" in said
+    assert "re-running the command resumes it" in said
     there = {path.name: path.stat().st_mtime_ns for path in folder.glob("labelled/*.h5")}
     assert 1 <= len(there) < 8
     assert {path.name for path in folder.iterdir()} == {"secret.json", "commitment.json", "labelled"}

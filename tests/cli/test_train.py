@@ -47,7 +47,7 @@ def test_train_predict_and_score_from_the_command_line(data, here, tmp_path, mon
     assert len(heading.split()) == len(figures.split())
     assert "symsol-annot predict runs/tetX-tiny" in done.stdout
     again = here("train", "tiny.toml", "--data", data, "--device", "cpu")
-    assert again.stdout.startswith("goes on after epoch 1 of 1")
+    assert again.stdout.startswith("resumes after epoch 1 of 1")
     done = here("predict", "runs/tetX-tiny", "--data", data, "--device", "cpu", "--out", "preds.h5")
     assert (done.returncode, done.stderr) == (0, "")
     done = here("score", "preds.h5", "--data", data)
@@ -83,7 +83,7 @@ def test_a_training_is_extended_logged_and_its_images_kept_from_the_command_line
     assert len(list((tmp_path / "runs" / "tetX-tiny" / "tensorboard").iterdir())) == 1
     assert len(list((tmp_path / "cache" / "symsol-annot").iterdir())) == 2
     done = here(*words)
-    assert (done.returncode, "--epochs 2 goes on with it" in done.stderr) == (1, True)
+    assert (done.returncode, "--epochs 2 resumes it" in done.stderr) == (1, True)
 
 
 def test_no_line_of_the_table_is_wider_than_a_terminal():

@@ -5,12 +5,15 @@ import re
 import subprocess
 import sys
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
+import datasets
 import h5py
 import numpy as np
 import pytest
 from made_sets import make_set
+from torch.utils.data import DataLoader
 
 import symsol_annot
 from symsol_annot.bench.predictions.foreign.forms import FORMS
@@ -22,6 +25,7 @@ from symsol_annot.bench.predictions.truth import truth_of
 from symsol_annot.bench.scoring import reference, scoring
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rotations.so3 import uniform_rotations
+from symsol_annot.torch import SymsolDataset
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("examples/**/*.md")])
@@ -89,6 +93,33 @@ def test_the_examples_of_the_loading_page_read_every_image(tmp_path, monkeypatch
     done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, check=True)
     means = [sample.image.mean() for sample in symsol_annot.load("data/cylO", "train")]
     assert np.mean(eval(done.stdout)) == pytest.approx(np.mean(means))
+
+
+def test_each_line_of_the_loading_page_reads_the_same_rotations(tmp_path, monkeypatch):
+    folder = make_set(tmp_path / "data", "tetX", train=6, test=0, annotate="all")
+    folder.rename(tmp_path / "data" / "cylO")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HF_DATASETS_CACHE", str(tmp_path / "cache"))
+    table = (ROOT / "docs/loading.md").read_text().split("## One line for each reader")[1].split("```")[0]
+    lines = [row.split(" | ")[1].split("`")[1] for row in table.splitlines() if row.startswith("| ") and "`" in row]
+    package, batches, tensors, rows = lines[:4]
+    names = {"symsol_annot": symsol_annot, "DataLoader": DataLoader, "SymsolDataset": SymsolDataset}
+    names["load_dataset"] = partial(datasets.load_dataset, cache_dir=str(tmp_path / "cache"))
+    samples = eval(package, names)
+    known = np.stack([sample.rotation for sample in samples])
+    (batch,) = eval(batches, names)
+    assert np.array_equal([sample.rotation for sample in batch], known)
+    assert [len(sample.symmetry_set) for sample in batch] == [len(sample.symmetry_set) for sample in samples]
+    (stacked,) = eval(tensors, names)
+    assert np.allclose(stacked["rotation"], known, atol=1e-6)
+    assert np.array_equal(eval(rows, names)["train"]["rotation"], known)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/install.md"])
+def test_files_that_a_page_installs_are_named_after_this_version(page):
+    names = re.findall(r"symsol_annot-([\d.]+)(?:-py3-none-any\.whl|\.tar\.gz)", (ROOT / page).read_text())
+    assert names
+    assert set(names) == {symsol_annot.__version__}
 
 
 def test_the_projection_of_the_conventions_page_is_the_cameras():

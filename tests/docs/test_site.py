@@ -5,9 +5,14 @@ import os
 import re
 import subprocess
 import sys
+import time
+from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
+import axe
 import pytest
+from gallery_browser import CHROMIUM, DRIVER, chromium
 
 import symsol_annot
 from symsol_annot import errors, grid
@@ -105,3 +110,95 @@ def test_the_pages_of_the_repositorys_root_are_in_the_site(pages):
     assert "Add a metric" in pages["contributing.html"]
     assert "Keep a Changelog" in pages["changelog.html"]
     assert 'href="contributing.html"' in pages["index.html"]
+
+
+class Outline(HTMLParser):
+    """What of a page is heard or found rather than seen: title, language, headings, pictures, width."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.levels, self.pictures, self.title, self.language, self.viewport = [], [], "", None, None
+        self.in_title = False
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        told = dict(attrs)
+        if re.fullmatch("h[1-6]", tag):
+            self.levels.append(int(tag[1]))
+        elif tag == "img":
+            self.pictures.append(told.get("alt", ""))
+        elif tag == "html":
+            self.language = told.get("lang")
+        elif tag == "meta" and told.get("name") == "viewport":
+            self.viewport = told["content"]
+        self.in_title = tag == "title"
+
+    def handle_data(self, data):
+        self.title += data if self.in_title else ""
+
+
+def test_every_page_has_a_title_of_its_own_headings_in_order_and_words_for_its_pictures(pages):
+    outlines = {name: Outline(text) for name, text in pages.items() if name != "404.html"}
+    titles = [outline.title.strip() for outline in outlines.values()]
+    assert len(set(titles)) == len(titles)
+    for name, outline in outlines.items():
+        assert outline.language == "en", name
+        assert "width=device-width" in outline.viewport, name
+        assert outline.levels[0] == 1, name
+        assert outline.levels.count(1) == 1, name
+        assert all(level <= before + 1 for before, level in pairwise(outline.levels)), (name, outline.levels)
+        assert all(len(words) > 10 for words in outline.pictures), (name, outline.pictures)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    if not (CHROMIUM and DRIVER):
+        pytest.skip("needs Chromium: `python tools/gallery_browser.py` gets it")
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
+        yield driver
+
+
+def wait_for(driver, script):
+    end = time.monotonic() + 20
+    while not (found := driver.execute_script(f"return {script}")):
+        assert time.monotonic() < end, f"never came true: {script}"
+        time.sleep(0.02)
+    return found
+
+
+def test_the_search_finds_a_page_where_the_site_lies_on_a_disk(browser, site):
+    browser.get((site / "api" / "index.html").as_uri())
+    browser.execute_script("document.querySelector('input[name=query]').focus()")
+    browser.switch_to.active_element.send_keys("covering radius")
+    links = "[...document.querySelectorAll('.md-search-result__link')].map((a) => a.getAttribute('href'))"
+    wait_for(browser, f"{links}.some((href) => href.includes('/metrics.html'))")
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_every_table_fits_a_desk_and_a_phone(browser, site, pages):
+    """All tables of the site, in one page of it."""
+    tables = [table for text in pages.values() for table in re.findall(r"<table>.*?</table>", text, re.DOTALL)]
+    assert len(tables) > 60
+    shell = re.sub(r"(<article\b[^>]*>).*(</article>)", "\\1TABLES\\2", pages["metrics.html"], flags=re.DOTALL)
+    (site / "tables.html").write_text(shell.replace("TABLES", "".join(tables)))
+    browser.get((site / "tables.html").as_uri())
+    wait_for(browser, f"document.querySelectorAll('.md-typeset__scrollwrap').length === {len(tables)}")
+    wide = "[...document.querySelectorAll('.md-typeset__scrollwrap')].filter((t) => t.scrollWidth > t.clientWidth)"
+    for width in (1440, 390):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 1000}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        assert browser.execute_script(f"return {wide}.map((t) => t.innerText.slice(0, 200))") == [], width
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.mark.parametrize(("scheme", "theirs"), [("light", "default"), ("dark", "slate")])
+def test_axe_finds_nothing_on_the_site(browser, site, scheme, theirs):
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    browser.get((site / "bop.html").as_uri())
+    browser.execute_script("localStorage.clear()")  # where the theme keeps the scheme
+    for name in ("bop.html", "index.html"):
+        browser.get((site / name).as_uri())
+        wait_for(browser, f"document.body.dataset.mdColorScheme === '{theirs}'")
+        assert axe.faults(browser) == []

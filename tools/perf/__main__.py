@@ -72,7 +72,7 @@ def measure(*, quick):
 
 
 def pairs(folder, images, rounds):
-    """Return pairs a second by kind, one a round, all start-up left out."""
+    """Return pairs per second by kind, one a round, all start-up left out."""
     rates = {kind: [] for kind in ("all sets", "no sets", "recipe, 2 processes", "recipe, 2 threads")}
     with Recipe(NAME, PROCESSES, 1, folder) as processes, Recipe(NAME, 1, PROCESSES, folder) as threads:
         for _ in range(rounds):
@@ -120,7 +120,7 @@ def table(found):
     """Return the lines of a Markdown table."""
     rates = {kind: statistics.median(values) for kind, values in found["pairs"].items()}
     recipe = max(rate for kind, rate in rates.items() if kind.startswith("recipe"))
-    lines = ["", "| pairs a second, cylO, 2 cores | | times the recipe |", "|---|---|---|"]
+    lines = ["", "| pairs per second, cylO, 2 cores | | times the recipe |", "|---|---|---|"]
     lines += [f"| {kind} | {rate:.1f} | {rate / recipe:.1f} |" for kind, rate in rates.items()]
     lines += ["", "| hidden view's set | exhaustive | geometry | times faster |", "|---|---|---|---|"]
     for name, row in found["annotation"].items():
@@ -129,13 +129,13 @@ def table(found):
     lines += ["", "| loading a sample | ms | times faster than PNG |", "|---|---|---|"]
     for way, ms in found["loading"]["ms_a_sample"].items():
         lines.append(f"| {way} | {ms:.3f} | {found['loading']['times_faster_than_png'][way]:.1f} |")
-    lines += ["", "| growth | pairs a second | s with start-up | peak MiB: parent, Blender |", "|---|---|---|---|"]
+    lines += ["", "| growth | pairs per second | s with start-up | peak MiB: parent, Blender |", "|---|---|---|---|"]
     for kind, runs in found["growth"].items():
         rate = statistics.median(run["pairs_per_second"] for run in runs)
         peaks = (max(run[key] for run in runs) for key in ("parent_mib", "blender_mib"))
         seconds = statistics.median(run["seconds_with_start"] for run in runs)
         lines.append(f"| {kind} | {rate:.1f} | {seconds:.1f} | {', '.join(map(str, peaks))} |")
-    lines += ["", "| loading by load() | samples a second | peak MiB of a process |", "|---|---|---|"]
+    lines += ["", "| loading by load() | samples per second | peak MiB per process |", "|---|---|---|"]
     for kind, runs in found["loading_growth"].items():
         rate = statistics.median(run["samples_per_second"] for run in runs)
         lines.append(f"| {kind} | {rate:.0f} | {max(run['peak_mib'] for run in runs)} |")

@@ -21,7 +21,7 @@ from trials import SET, try_all, undisturbed_set
 
 from symsol_annot import __version__
 
-GOES_ON = "the same command goes on"
+GOES_ON = "re-running the command resumes it"
 IMPOSTOR = """
 import socket, sys
 with socket.create_server(("127.0.0.1", 0)) as server:
@@ -193,7 +193,7 @@ def interrupted(number, trial):
     trial.cluster.start()
     running = trial.started(*on(trial.cluster))
     os.kill(running.pid, number)
-    trial.refuses(running, "are kept; the same command goes on.", "Interrupted.", code=130)
+    trial.refuses(running, "are kept; re-running the command resumes it.", "Interrupted.", code=130)
     trial.resumes(*on(trial.cluster))
 
 

@@ -20,7 +20,11 @@ from trials import HERE, SET, try_all, undisturbed_set
 
 UNPRIVILEGED = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--inh-caps=-dac_override,-dac_read_search")
 FULL = "cannot be written: the disk is full: make room, then run the same command again"
-NO_TEMPORARY = ("temporary files cannot be written", "set TMPDIR to another folder", "the same command goes on")
+NO_TEMPORARY = (
+    "temporary files cannot be written",
+    "set TMPDIR to another folder",
+    "re-running the command resumes it",
+)
 NO_PERMISSION = "cannot be written: no write permission: choose another folder with --out, or change its permissions"
 
 

@@ -18,7 +18,7 @@ from outcomes import run_alone
 from processes import END_S, finished, kill, wait_for
 from trials import SET, try_all, undisturbed_set
 
-GOES_ON = "the same command goes on"
+GOES_ON = "re-running the command resumes it"
 TIME_LIMIT = ("--time-limit", "3")
 _GROUPS = Path("/sys/fs/cgroup/memory")  # version 1 of control groups
 _MIB = 2**20
@@ -77,7 +77,7 @@ def too_little_allowed(trial):
 def interrupted(number, trial):
     running = trial.started()
     os.kill(running.pid, number)
-    trial.refuses(running, "are kept; the same command goes on.", "Interrupted.", code=130)
+    trial.refuses(running, "are kept; re-running the command resumes it.", "Interrupted.", code=130)
     trial.resumes()
 
 

@@ -21,49 +21,50 @@ _HEAD = """\
 
 <!-- Built from {folder} by `symsol-annot leaderboard`: change those files, not this one. -->
 
-**What ranks**, on each track and object by itself:
+**What ranks**, separately for each track and object:
 
-- *Hypotheses* by the F-measure at 5 degrees: of each image, the harmonic mean of coverage (recall) and accuracy
-  (precision), with all its hypotheses counted alike. M is their number per image. Listing everything wins nothing:
-  each wrong hypothesis lowers the accuracy of its image ([metrics.md](metrics.md#what-ranks)).
-- *Classifiers* by the F-measure (7.8). Read the hard negative rate beside it: it is 1 of a method that is blind to the
-  marking.
-- *Densities* by the log-likelihood, whose ceiling is that of the best density on the grid.
+- *Hypotheses* rank by the F-measure at 5 degrees. For each image it is the harmonic mean of coverage (recall) and
+  accuracy (precision), with all its hypotheses counted alike. M is their number per image. Listing everything does not
+  help, since each wrong hypothesis lowers the accuracy of its image ([metrics.md](metrics.md#what-ranks)).
+- *Classifiers* rank by the F-measure (7.8). Read the hard negative rate beside it, which is 1 for a method that is
+  blind to the marking.
+- *Densities* rank by the log-likelihood. Its ceiling is that of the best density on the grid.
 
-The best is first and bold, with its 95% interval over images; references in italics have no rank.
+The best row is first and bold, with its 95% interval over images. References are in italics and have no rank.
 [How to read a row](#how-to-read-a-row), [send in a result](#send-in-a-result).
 """
 _HOW_TO_READ = """\
 ## How to read a row
 
-The best is bold, in the column that ranks: nobody is best in coverage alone, which listing everything wins. "px" is
-the side of the image that the network reads. Brackets hold 95% bootstrap intervals over images; they say nothing of
-another training. A method that was trained with several seeds is one row: the mean, its interval over images, and the
-range of the seeds.
+The best figure of the column that ranks is bold. Other columns have no best figure: coverage alone would be won by
+listing everything. "px" is the side of the image that the network reads. Brackets hold 95% bootstrap intervals over
+images; they do not cover the variation between trainings. A method that was trained with several seeds is one row: the
+mean, its interval over images, and the range of the seeds.
 
 - {may_be_best} *may be the best.* With 95% confidence, the truly best of a table's ranked rows is among those with this
   sign. All are compared with each other at once, paired by image, so that many rows make no winner by chance
   ([metrics.md](metrics.md#which-rows-may-be-the-best)).
-- {many} *many hypotheses.* More per image than the thesis has, 30 (75 for the icosahedron). Coverage is cheap there:
-  compare with the row of the body's group.
-- {exact} *as exact as the labels.* Closer to them, in recall or in precision, than pixels tell
+- {many} *many hypotheses.* The row has more hypotheses per image than the thesis, which has 30 (75 for the
+  icosahedron). Coverage is easy to get that way: compare with the row of the body's group.
+- {exact} *as exact as the labels.* The row is closer to the labels, in recall or in precision, than pixels can tell
   ([metrics.md](metrics.md#what-ranks)). Such a row has no rank.
-- *told group, sets.* It knew the body's symmetry group, or learnt from symmetry sets, not from one rotation per image.
+- *told group, sets.* The method knew the body's symmetry group, or learnt from symmetry sets instead of one rotation
+  per image.
 - *Rows in italics* are references, made from the labels: the truth, the best that 30 hypotheses can do, one true
   rotation, a method that is blind to the marking, and chance. They have no rank.
 
 Scores come from files that `symsol-annot score` wrote, to which [each result](#how-the-results-were-made) links. What
-is said of a result and its training is what its authors state. Two rows in detail: `symsol-annot compare`.
+is said about a result and its training is what its authors state. `symsol-annot compare` compares two rows in detail.
 """
 _TAIL = """\
 ## Send in a result
 
 1. Make a set that is listed above, and write predictions: [submission.md](submission.md).
 2. `symsol-annot score preds.h5 --json NAME.json.gz --decimals {decimals}`. Several objects by one method go into one
-   file of scores. NAME.json, and all digits, are taken too; packed and rounded the file is smaller.
+   file of scores. An unpacked NAME.json with all digits is accepted, too, but it is larger.
 3. Write NAME.toml, as below: `commands`, `code`, or both.
-4. Put both into the set's folder in [{folder}]({link}). `symsol-annot leaderboard {folder} --out {page}`
-   checks all files, builds this page and draws its pictures. Open a pull request with what changed.
+4. Put both into the set's folder in [{folder}]({link}). Then run `symsol-annot leaderboard {folder} --out {page}`,
+   which checks all files, builds this page and draws its pictures. Send the changed files as a pull request.
 5. Keep the predictions: their SHA-256 is in the scores. `symsol-annot leaderboard {folder} --rescore preds.h5`
    scores them again and shows each figure that differs from the row.
 
@@ -87,15 +88,15 @@ predict_minutes = 4  # optional
 predictions_sha256 = ""  # optional; as in the scores
 ```
 
-Refused are scores that do not rank (`score` warns why), that are about other images, that lack a figure of the tables,
-or whose figures do not follow from those of their images; the same predictions twice; and results that say neither
-`code` nor `commands`.
+A result is refused if its scores do not rank (`score` warns why), are about other images, or lack a figure of the
+tables; if its figures do not follow from those of its images; if the same predictions are there already; and if it
+states neither `code` nor `commands`.
 """
 _ABOUT_AGREEMENT = """\
-Papers order methods by the log-likelihood at R_gt, the one rotation that an image was drawn at. Kendall's tau
-between that order and the order by each figure of the whole set: 1 where no two methods change places, -1 where
-all do. Brackets hold its 95% interval over images. Below are the pairs that change places, in both orders by
-more than chance, and the images that speak most for it."""
+Papers order methods by the log-likelihood at R_gt, the one rotation that an image was drawn at. The table has
+Kendall's tau between that order and the order by each figure of the whole set: it is 1 if no two methods change places,
+and -1 if all do. Brackets hold its 95% interval over images. Below the table are the pairs that change places, in both
+orders by more than chance, and the images that contribute most to it."""
 _NONE = "-"
 _LEGEND = {
     Mark.MANY: "{sign} More than {usual} hypotheses per image.",
@@ -183,7 +184,12 @@ def _rows(table: Table, folder: str, link: str) -> Iterator[Sequence[str]]:
     facts = list(SCORINGS[table.track].shown_facts)
     known = [m for m in table.metrics if any(not math.isnan(row.figures[m.name].value) for row in table.rows)]
     size = ["px"] if table.has_results else []
-    yield ["", *facts, *size, *(metric.title + metric.arrow for metric in known)]
+    yield [
+        "",
+        *facts,
+        *size,
+        *((metric.title + metric.arrow).replace(" ↑", "&nbsp;↑").replace(" ↓", "&nbsp;↓") for metric in known),
+    ]
     for row in table.rows:
         cells = [
             *(_fact(row, fact) for fact in facts),

@@ -12,15 +12,16 @@ from symsol_annot.bench.scoring.scorers.hypotheses import ANGLES_DEG, HYPOTHESES
 from symsol_annot.bench.scoring.scorers.scorer import TrackScoring
 from symsol_annot.bench.scoring.scores_file import read_scores
 from symsol_annot.errors import ScoresError
-from symsol_annot.plotting.canvas import SERIES, label_text, new_figure, write_figure
+from symsol_annot.plotting.canvas import SERIES, label_text, legend_below, legend_mark, new_figure, write_figure
 
 AnyPath: TypeAlias = str | os.PathLike[str]
 Figures: TypeAlias = Mapping[str, Mapping[str, Any]]
 
-_INCHES = (4.2, 3.4)
+_INCHES = (4.2, 3.7)
 _MARKERS = "os^Dv<>"
+_COVERAGE_LINES = {"coverage": "-", "accuracy": "--"}  # what is drawn of each method, and how
 _LABELLED = (0.1, 0.5, 0.8, 0.99)  # thresholds whose points are named
-_SHARE = (-0.02, 1.02)  # the limits of an axis
+_SHARE = (-0.02, 1.06)  # the limits of an axis
 
 
 def plot_precision_recall(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: str = "all") -> None:
@@ -38,7 +39,7 @@ def plot_precision_recall(scores: Sequence[AnyPath], path: AnyPath, name: str, s
         SettingsError: it is none of those forms.
         MissingExtraError: matplotlib is not installed.
     """
-    axes_options = {"xlabel": "recall", "ylabel": "precision", "xlim": _SHARE}
+    axes_options = {"xlabel": "recall (numbers: threshold of the probability)", "ylabel": "precision", "xlim": _SHARE}
     _plot(scores, path, name, stratum, CLASSIFIER_SCORING, _draw_precision_recall, axes_options)
 
 
@@ -57,8 +58,8 @@ def plot_coverage(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: 
         SettingsError: it is none of those forms.
         MissingExtraError: matplotlib is not installed.
     """
-    axes_options = {"xlabel": "angle, degrees", "ylabel": "share within it"}
-    _plot(scores, path, name, stratum, HYPOTHESES_SCORING, _draw_coverage, axes_options)
+    axes_options = {"xlabel": "angle, degrees", "ylabel": "share within the angle"}
+    _plot(scores, path, name, stratum, HYPOTHESES_SCORING, _draw_coverage, axes_options, more=_COVERAGE_LINES)
 
 
 def plot_calibration(scores: Sequence[AnyPath], path: AnyPath, name: str, stratum: str = "all") -> None:
@@ -90,8 +91,12 @@ def _plot(
     scoring: TrackScoring,
     draw: Callable[[Any, str, Figures, Mapping[str, Any]], None],
     axes_options: Mapping[str, Any],
+    more: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a picture to which each file adds, by `draw`, its method's figures in a style of its own."""
+    """Write a picture to which each file adds, by `draw`, its method's figures in a style of its own.
+
+    `more` are lines that the legend names beside the methods, by their labels.
+    """
     figure = new_figure(figsize=_INCHES, layout="constrained")
     axes = figure.add_subplot()
     for number, (method, figures) in enumerate(_results(scores, name, scoring, stratum)):
@@ -102,7 +107,8 @@ def _plot(
     axes.title.set_fontsize(9)
     axes.grid(visible=True, color="0.9", linewidth=0.5)
     if any(len(line.get_xdata()) for line in axes.lines):
-        axes.legend(fontsize=7, frameon=False)
+        handles, _ = axes.get_legend_handles_labels()
+        legend_below(figure, [*handles, *(legend_mark(label, line=line) for label, line in (more or {}).items())])
     write_figure(figure, Path(path))
 
 
@@ -115,14 +121,15 @@ def _draw_precision_recall(axes: Any, method: str, figures: Figures, style: Mapp
     axes.plot([x for x, _ in points], [y for _, y in points], label=label_text(method), **style)
     for threshold, point in zip(thresholds, points, strict=True):
         if threshold in _LABELLED:
-            axes.annotate(f"{threshold:g}", point, (3, 3), textcoords="offset points", fontsize=6)
+            axes.annotate(f"{threshold:g}", point, (4, 3), textcoords="offset points", fontsize=6)
 
 
 def _draw_coverage(axes: Any, method: str, figures: Figures, style: Mapping[str, Any]) -> None:
-    for what, dashes in (("coverage", "-"), ("accuracy", "--")):
+    for what, dashes in _COVERAGE_LINES.items():
         values = _values(figures, {angle: f"{what}_at_{angle}_deg" for angle in ANGLES_DEG})
         shares = [figure["value"] for figure in values.values()]
-        axes.plot(list(values), shares, label=label_text(f"{what}, {method}"), **{**style, "linestyle": dashes})
+        label = label_text(method) if what == "coverage" else None
+        axes.plot(list(values), shares, label=label, **{**style, "linestyle": dashes})
         known = {angle: f for angle, f in values.items() if f["low"] is not None and f["high"] is not None}
         ends = ([figure[end] for figure in known.values()] for end in ("low", "high"))
         axes.fill_between(list(known), *ends, color=style["color"], alpha=0.12, linewidth=0)

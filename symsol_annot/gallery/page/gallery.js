@@ -121,6 +121,7 @@
     const of = found.length === table.total ? "" : ` of ${whole.format(table.total)}`;
     byId("count").textContent = `${whole.format(found.length)}${of} image${table.total === 1 ? "" : "s"}`;
     byId("nothing").hidden = found.length > 0;
+    SYMSOL.summary.show(model, found);
     if (!found.length) { current = -1; SYMSOL.detail.hide(); }
     thumbnails.show(found, keeps ? current : -1);
     toAddress();
@@ -146,6 +147,11 @@
   function close() {
     document.body.classList.remove("opened");
     byId("window").focus({ preventScroll: true });
+  }
+
+  function toggleFilters(event) {
+    const isOpen = document.body.classList.toggle("filtering");
+    event.currentTarget.setAttribute("aria-expanded", isOpen);
   }
 
   function showKeys() {
@@ -188,6 +194,7 @@
   byId("close").addEventListener("click", close);
   byId("skip").addEventListener("click", (event) => { event.preventDefault(); byId("window").focus(); }); // no address
   byId("keys-open").addEventListener("click", showKeys);
+  byId("filters-open").addEventListener("click", toggleFilters);
   document.addEventListener("keydown", onKey);
   window.addEventListener("hashchange", () => { fromAddress(); apply(); });
   apply();

@@ -154,14 +154,14 @@ class DaskCluster:
 
     def _lost(self) -> ClusterError:
         return ClusterError(
-            f"the Dask scheduler at {self._address} is gone. Finished shards are kept: the same command goes on once "
-            "it is back, or without --cluster on this machine"
+            f"the Dask scheduler at {self._address} is gone. Finished shards are kept: re-running the command resumes "
+            "it once the scheduler is back, or without --cluster on this machine"
         )
 
     def _hung(self) -> ClusterError:
         return ClusterError(
             f"the Dask scheduler at {self._address}, or a worker of it, gave no answer in {_ANSWER_SECONDS:g} s. End "
-            "the one that hangs: finished shards are kept, and the same command goes on"
+            "the one that hangs: finished shards are kept, and re-running the command resumes it"
         )
 
     def _strange(self, error: Exception) -> ClusterError:

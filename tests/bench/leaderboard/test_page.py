@@ -42,8 +42,8 @@ def test_rows_hold_the_figures_of_the_scores_the_best_first(folder):
         f, accuracy = (scores[f"{what}_at_5_deg"] for what in ("f_measure", "accuracy"))
         value = f"**{f['value']:.3f}**" if name == "near" else f"{f['value']:.3f}"
         interval = f"{value}<br>[{f['low']:.3f},&nbsp;{f['high']:.3f}]"
-        assert row[rows[0].index("F-measure at 5 deg ↑")] == interval
-        assert row[rows[0].index("accuracy at 5 deg ↑")] == f"{accuracy['value']:.3f}"
+        assert row[rows[0].index("F-measure at 5 deg&nbsp;↑")] == interval
+        assert row[rows[0].index("accuracy at 5 deg&nbsp;↑")] == f"{accuracy['value']:.3f}"
 
 
 def test_figures_that_the_tables_leave_out_stand_with_how_a_result_was_made(folder):
@@ -90,7 +90,7 @@ def test_nobody_ranks_first_by_listing_everything(folder, images, tmp_path):
     rows = tables_of(page)["tetX, hypotheses"]
     assert rows[2][0].startswith("1. [The near one]")
     assert [row[rows[0].index("M")] for row in rows[2:]] == ["1", "412&nbsp;†", "412&nbsp;†"]
-    assert [row[rows[0].index("coverage at 5 deg ↑")] for row in rows[3:]] == ["1.000", "1.000"]
+    assert [row[rows[0].index("coverage at 5 deg&nbsp;↑")] for row in rows[3:]] == ["1.000", "1.000"]
     assert "**What ranks**" in page
     assert "† More than 30 hypotheses per image." in page
 

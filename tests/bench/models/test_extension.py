@@ -117,10 +117,10 @@ def test_another_number_of_epochs_says_what_to_do(images, tmp_path):
     train(HYPOTHESES, images, out, _epochs(2))
     before = (out / FILES[1]).read_bytes()
     with pytest.raises(
-        TrainingError, match=r"of 2 epochs, 2 of them finished, and 1 were .* --epochs 2 goes on .*short"
+        TrainingError, match=r"of 2 epochs, 2 of them finished, and 1 were .* --epochs 2 resumes .*short"
     ):
         train(HYPOTHESES, images, out, _epochs(1))
-    with pytest.raises(TrainingError, match=r"and 4 were asked for; .* --epochs 2 goes on with it; --epochs 4 extends"):
+    with pytest.raises(TrainingError, match=r"and 4 were asked for; .* --epochs 2 resumes it; --epochs 4 extends"):
         train(HYPOTHESES, images, out, CPU)  # the recipe's own number: nobody asked for more
     with pytest.raises(TrainingError, match=r"(?s)- seed: there 0, asked for 3.*- epochs: there 2, asked for 1"):
         train(HYPOTHESES, images, out, replace(CPU, epochs=1, seed=3))

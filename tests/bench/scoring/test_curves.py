@@ -86,7 +86,7 @@ NAMES = ["$a_{$", "cost $5 and $6", "_mine", "\u65e5\u672c\u8a9e"]
 
 
 @pytest.mark.parametrize("method", NAMES)
-@pytest.mark.parametrize(("command", "label"), [("precision-recall", "{}"), ("coverage", "coverage, {} (M = 9)")])
+@pytest.mark.parametrize(("command", "label"), [("precision-recall", "{}"), ("coverage", "{} (M = 9)")])
 def test_the_legend_names_each_method_as_its_file_does_and_its_M(command, label, method, tmp_path):
     scores, out = tmp_path / "scores.json", tmp_path / "curve.svg"
     scores.write_text(json.dumps({**json.loads(TRUTH.read_text()), "method": method}))
@@ -102,6 +102,7 @@ def test_a_stratum_without_figures_is_drawn_without_a_legend(draw, figures, tmp_
     draw([TRUTH, ROUNDED], Path("x.png"), "tetX", "barely")
     (axes,) = figures[0].axes
     assert axes.get_legend() is None
+    assert figures[0].legends == []
     write_figure(figures[0], tmp_path / "x.png")
 
 

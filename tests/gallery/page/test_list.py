@@ -71,6 +71,46 @@ def test_orders_by_the_set_and_by_the_marking_are_numpys(page, data):
         assert page.options()[-10:] == expected[-10:]
 
 
+def test_the_summary_counts_sets_and_averages_scores_of_the_images_shown(page, data, preds):
+    scores = score_file(preds, data)
+    values = scores.tracks["hypotheses"].per_image.values
+    page.open(object="tetX", split="test")
+    for stratum in ("shown", "hidden"):
+        page.set("marking", stratum)
+        chosen = scores.truth.strata[stratum]
+        sizes, counts = np.unique(scores.truth.set_sizes[chosen], return_counts=True)
+        span = str(sizes[0]) if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]}"
+        assert page.text("summary-line") == f"Summary: symmetry sets of {span} rotations"
+        rows = page.run(
+            "[...document.querySelectorAll('#summary-parts table')]"
+            ".map((t) => [...t.tBodies[0].rows].map((r) => [...r.cells].map((c) => c.textContent)))"
+        )
+        assert rows[0] == [[str(size), str(count)] for size, count in zip(sizes, counts, strict=True)]
+        assert len(rows) == 2  # one run: there is none to compare it with
+        name, mean = rows[1][0]
+        assert name.startswith("recall mean error")
+        assert float(mean) == pytest.approx(values["recall_mean_error_rad"][chosen].mean(), abs=1e-4)
+
+
+def test_runs_are_compared_image_by_image_where_both_have_a_figure(page):
+    page.open()
+    rng = np.random.default_rng(8)
+    first, second = np.where(rng.random((2, 60)) < 0.1, None, rng.integers(0, 4, (2, 60)))
+    ids = list(range(5, 60))
+    script = """(([a, b, better, ids]) => {
+        const run = (values) => ({ better, values: values.map((v) => (v === null ? NaN : v)) });
+        return SYMSOL.summary.against(run(a), run(b), ids); })(arguments[0])"""
+    both = [i for i in ids if first[i] is not None and second[i] is not None]
+    for better, sign in (("higher", 1), ("lower", -1)):
+        differences = np.array([sign * (second[i] - first[i]) for i in both])
+        found = page.run(script, [first.tolist(), second.tolist(), better, ids])
+        assert found == {
+            "better": (differences > 0).sum(),
+            "worse": (differences < 0).sum(),
+            "same": (differences == 0).sum(),
+        }
+
+
 def test_the_keyboard_goes_everywhere(page):
     page.open(object="tetX", split="test", run="", order="files")
     page.run("document.getElementById('window').focus()")

@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import axe
 import numpy as np
 import pytest
 from gallery_browser import CHROMIUM, DRIVER, Page
@@ -67,6 +68,7 @@ def test_text_stands_out_in_light_and_dark(page, browser, scheme):
     for ground in ("paper", "panel"):
         behind = page.run("SYMSOL.theme.colour(arguments[0])", ground)
         assert all(contrast(colour, behind) >= 4.5 for colour in colours.values())
+    assert axe.faults(browser) == []
     page.run("document.getElementById('theme').click()")  # automatic, then light, whatever the system says
     assert page.run("document.documentElement.dataset.theme") == "light"
     page.run("(() => { localStorage.clear(); SYMSOL.theme; })()")
@@ -90,6 +92,13 @@ def test_on_a_narrow_screen_an_image_opens_over_the_list_and_nothing_sticks_out(
     try:
         page.open(object="tetX", split="test", run="")
         assert not page.run("document.getElementById('detail').checkVisibility()")
+        assert not page.run("document.getElementById('order').checkVisibility()")
+        page.run("document.getElementById('filters-open').click()")
+        fields = (
+            "[...document.querySelectorAll('#filters :is(input, select, button)')].filter((f) => f.checkVisibility())"
+        )
+        assert page.run(f"{fields}.length") >= 8
+        assert page.run(f"Math.max(...{fields}.map((f) => f.getBoundingClientRect().right))") <= 390
         page.run("document.querySelector('.cell').click()")
         page.title("tetX · test 0")
         assert page.run("document.getElementById('detail').checkVisibility()")

@@ -1,6 +1,7 @@
 """Pictures of the losses: figures 4.5, A.1 and A.2 as curves, figures 4.2 to 4.4 as a toy that converges."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from torch import Tensor
 from symsol_annot.bench.models.loss_tables import EMBEDDED_LOSSES
 from symsol_annot.bench.models.losses import CONCENTRATION
 from symsol_annot.bench.models.plots.toy import TOYS, Points, Stage, Toy, positions, winners
-from symsol_annot.plotting.canvas import SERIES, new_figure, write_figure
+from symsol_annot.plotting.canvas import SERIES, legend_below, legend_mark, new_figure, write_figure
 from symsol_annot.rotations.groups import Z_AXIS
 from symsol_annot.rotations.so3 import Angles, rotations_about
 
@@ -89,25 +90,31 @@ def plot_curves(path: Path) -> None:
         OutputError: the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
-    figure, cells = _grid(len(CURVES), max(len(row) for row in CURVES), _CURVES_INCHES)
+    labels = list(dict.fromkeys(label for row in CURVES for shown in row for label in shown.losses))
+    colours = dict(zip(labels, SERIES, strict=False))
+    figure, cells = _rows_of_panels([len(row) for row in CURVES], _CURVES_INCHES)
     angles_rad = np.linspace(0.0, 2.0 * np.pi, 721)
     for row, curves in enumerate(CURVES):
         for column, shown in enumerate(curves):
             axes = cells(row, column)
-            for (name, loss), colour in zip(shown.losses.items(), SERIES[:2], strict=True):
+            for name, loss in shown.losses.items():
                 values = summed_loss(angles_rad, np.array(shown.truths_rad), loss)
-                axes.plot(angles_rad, values, color=colour, linewidth=1.2, label=name)
+                axes.plot(angles_rad, values, color=colours[name], linewidth=1.2, label=name)
             for truth in shown.truths_rad:
                 axes.axvline(truth, color="0.6", linewidth=0.6, linestyle=":")
             axes.set_title(f"{shown.figure}: truth at {', '.join(f'{t:.3g}' for t in shown.truths_rad)}", fontsize=8)
             axes.set(xlim=(0.0, 2.0 * np.pi), ylim=(0.0, None))
             axes.tick_params(labelsize=7)
-            axes.legend(fontsize=6)
+            if row == len(CURVES) - 1:
+                axes.set_xlabel("rotation about the axis, rad", fontsize=8)
+    figure.supylabel("loss, summed over the true rotations", fontsize=9)
+    lines = [legend_mark(label, colour, line="-") for label, colour in colours.items()]
+    legend_below(figure, [*lines, legend_mark("true rotation", "0.6", line=":")], columns=5)
     write_figure(figure, path)
 
 
 def plot_toys(path: Path) -> None:
-    """Write figures 4.2 to 4.4 as a picture, one row each: where hypotheses begin, and where each stage takes them.
+    """Write figures 4.2 to 4.4 as a picture: where hypotheses begin, and where each stage takes them.
 
     Arrows lead from winners to their modes, pale ones from the other hypotheses that a mode pulls; lines border the
     Voronoi cells.
@@ -116,22 +123,36 @@ def plot_toys(path: Path) -> None:
         OutputError: the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
-    figure, cells = _grid(len(TOYS), 1 + max(len(toy.stages) for toy in TOYS), _TOY_INCHES)
-    for row, toy in enumerate(TOYS):
+    panels = [1 + len(toy.stages) for toy in TOYS]
+    figure, cells = _rows_of_panels([sum(panels[:2]), *panels[2:]], _TOY_INCHES)  # the first two share a row
+    for toy, (row, left) in zip(
+        TOYS, [(0, 0), (0, panels[0]), *((row, 0) for row in range(1, len(TOYS)))], strict=False
+    ):
         first = toy.stages[0]
         places = positions(toy)
         titles = [f"{toy.figure}: {first.title}, at first", *(f"after {stage.title}" for stage in toy.stages)]
         for column, (hypotheses, stage, title) in enumerate(zip(places, (first, *toy.stages), titles, strict=True)):
-            axes = cells(row, column)
+            axes = cells(row, left + column)
             _draw_toy(axes, toy, hypotheses, stage)
             axes.set_title(title, fontsize=8)
+    marks = [legend_mark("mode", _MODE, "x"), legend_mark("hypothesis", _HYPOTHESIS, "o")]
+    pulls = [legend_mark("is pulled to", "0.3", ">"), legend_mark("border between cells", "0.75", line="-")]
+    legend_below(figure, [*marks, *pulls], columns=4)
     write_figure(figure, path)
 
 
-def _grid(rows: int, columns: int, inches: tuple[float, float]) -> tuple[Any, Callable[[int, int], Any]]:
+def _rows_of_panels(counts: Sequence[int], inches: tuple[float, float]) -> tuple[Any, Callable[[int, int], Any]]:
+    """Return a figure, and what adds the panel at a row and column: each row's panels share its whole width."""
     width, height = inches
-    figure = new_figure(figsize=(width * columns, height * rows), layout="constrained")
-    return figure, lambda row, column: figure.add_subplot(rows, columns, row * columns + column + 1)
+    figure = new_figure(figsize=(width * max(counts), height * len(counts) + 0.3), layout="constrained")
+    parts = math.lcm(*counts)
+    grid = figure.add_gridspec(len(counts), parts)
+
+    def add(row: int, column: int) -> Any:
+        each = parts // counts[row]
+        return figure.add_subplot(grid[row, column * each : (column + 1) * each])
+
+    return figure, add
 
 
 def _draw_toy(axes: Any, toy: Toy, hypotheses: Points, stage: Stage) -> None:

@@ -13,7 +13,7 @@ from symsol_annot.bench.models.networks.rotation_classifier import RotationClass
 from symsol_annot.bench.models.training.checkpoints import Checkpoint
 from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
 from symsol_annot.errors import ModelError, RotationError
-from symsol_annot.plotting.canvas import SERIES, label_text, new_figure, write_figure
+from symsol_annot.plotting.canvas import SERIES, label_text, legend_below, legend_mark, new_figure, write_figure
 from symsol_annot.rotations.so3 import Angles, Rotations, rotations_about
 from symsol_annot.sets.dataset import Dataset, Sample
 
@@ -80,7 +80,7 @@ def plot_slice(
         MissingExtraError: matplotlib is not installed.
     """
     angles_deg = np.linspace(-reach_deg, reach_deg, 1441)
-    figure = new_figure(figsize=(5.4, 2.8), layout="constrained")
+    figure = new_figure(figsize=(5.4, 3.0), layout="constrained")
     axes = figure.add_subplot()
     for number, (name, classifier) in enumerate(classifiers):
         said = probability_along(classifier, sample, axis, np.radians(angles_deg))
@@ -88,10 +88,12 @@ def plot_slice(
     for angle_deg in members_on(sample, axis):
         axes.axvline(angle_deg, color="0.6", linewidth=0.6, linestyle=":")
     axes.axhline(STANDARD_THRESHOLD, color="0.8", linewidth=0.6)
+    handles, _ = axes.get_legend_handles_labels()
+    lines = (legend_mark("symmetry set", line=":"), legend_mark(f"threshold {STANDARD_THRESHOLD:g}", "0.8", line="-"))
     axes.set(xlim=(-reach_deg, reach_deg), ylim=(-0.02, 1.02), ylabel="probability")
     axes.set_xlabel(f"turn about the model's {axis} axis, degrees")
-    axes.set_title(f"image {sample.index}; dotted: its symmetry set", fontsize=8)
-    axes.legend(fontsize=7, frameon=False)
+    axes.set_title(f"image {sample.index}", fontsize=8)
+    legend_below(figure, [*handles, *lines])
     write_figure(figure, path)
 
 

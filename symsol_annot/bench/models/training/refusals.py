@@ -89,5 +89,5 @@ def refuse_other(out: Path, there: TrainingRecord, asked: TrainingRecord, *, may
         )
         raise TrainingError(
             f"{out} holds a training of {there.epochs} epochs, {there.epochs_done} of them finished, and "
-            f"{asked.epochs} were asked for; nothing was touched. --epochs {there.epochs} goes on with it; {further}"
+            f"{asked.epochs} were asked for; nothing was touched. --epochs {there.epochs} resumes it; {further}"
         )
