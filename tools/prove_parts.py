@@ -159,28 +159,40 @@ class Prover:
         }
 
     def _drawn_alike(self, R, group, renderer):
-        """Tell for which g (n, 3, 3) R g draws the image at R (3, 3), where either shows a breaking part: (n,)."""
-        if not len(group):
-            return np.zeros(0, bool)
+        """Tell for which g (n, 3, 3) R g draws the image at R (3, 3), where either shows a breaking part: (n,).
+
+        Parts are compared in every candidate, and shades in those whose parts are in the same places.
+        """
         (image,) = renderer.lit_windows(R[None])
-        starts = range(0, len(group), AT_ONCE)
-        drawn = (lit for start in starts for lit in renderer.lit_windows(R @ group[start : start + AT_ONCE]))
-        return np.array([self._differing_points(image, lit) / 4 < self._spec.tolerance_px for lit in drawn])
+        same, candidates = np.zeros(len(group), bool), R @ group
+        for start in range(0, len(group), AT_ONCE):
+            for i, drawn in enumerate(renderer.label_windows(candidates[start : start + AT_ONCE]), start=start):
+                same[i] = self._differing_points(image, drawn) / 4 < self._spec.tolerance_px
+        shows = self._is_breaking[image.ids].any()
+        (open_,) = np.nonzero(same & shows)  # what shows nothing has no shades
+        for start in range(0, len(open_), AT_ONCE):
+            some = open_[start : start + AT_ONCE]
+            for i, drawn in zip(some, renderer.lit_windows(candidates[some]), strict=True):
+                same[i] = self._differing_points(image, drawn) / 4 < self._spec.tolerance_px
+        return same
 
     def _differing_points(self, image, other):
         """Return at how many points two drawings differ, on a canvas that holds both of their windows."""
         windows = [image.window, other.window]
         top, left = min(w.top for w in windows), min(w.left for w in windows)
         bottom, right = max(w.top + w.height for w in windows), max(w.left + w.width for w in windows)
+        places = [np.s_[w.top - top : w.top - top + w.height, w.left - left : w.left - left + w.width] for w in windows]
         ids = np.zeros((2, bottom - top, right - left), np.uint8)
-        rgb = np.zeros((*ids.shape, 3), np.uint8)
-        for canvas, colours, lit in zip(ids, rgb, (image, other), strict=True):
-            place = np.s_[lit.window.top - top :, lit.window.left - left :]
-            canvas[place][: lit.window.height, : lit.window.width] = lit.ids
-            colours[place][: lit.window.height, : lit.window.width] = lit.rgb
+        for canvas, place, drawn in zip(ids, places, (image, other), strict=True):
+            canvas[place] = drawn.ids
         either = self._is_breaking[ids].any(axis=0)
-        shades = np.abs(np.diff(rgb[:, either].astype(np.int16), axis=0)[0]).max(axis=-1)
-        return np.count_nonzero((ids[0] != ids[1])[either] | (shades > LEVELS))
+        differs = (ids[0] != ids[1])[either]
+        if hasattr(other, "rgb"):
+            rgb = np.zeros((*ids.shape, 3), np.uint8)
+            for canvas, place, drawn in zip(rgb, places, (image, other), strict=True):
+                canvas[place] = drawn.rgb
+            differs |= np.abs(np.diff(rgb[:, either].astype(np.int16), axis=0)[0]).max(axis=-1) > LEVELS
+        return np.count_nonzero(differs)
 
     def _hidden(self, number, many):
         """Return the first rotation, of those no other view tries, that leaves a patch out of sight."""

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.annotation.continuous_limit import have_the_same, what_is_seen
+from symsol_annot.annotation.deciding import Visibility
 from symsol_annot.annotation.symmetry_set import circles_of
-from symsol_annot.annotation.visibility import MarkingVisibility
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.renderer import LitWindow, Renderer
@@ -39,7 +39,7 @@ class GeneralRule:
         renderer: draws candidates.
         camera: what the object is seen through.
         settings: the lattice.
-        visibility: tells by geometry where all parts hide; the sets are the same without it.
+        visibility: tells by geometry where parts show or hide; the sets are the same without it.
         exhaustive: draw and compare every candidate, also where counting points decides; the sets are the same.
     """
 
@@ -47,7 +47,7 @@ class GeneralRule:
     renderer: Renderer
     camera: Camera
     settings: RenderSettings
-    visibility: MarkingVisibility | None = None
+    visibility: Visibility | None = None
     exhaustive: bool = False
 
     def shown_px(self, part_pixels: Areas) -> float:

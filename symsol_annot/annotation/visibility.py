@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from symsol_annot.annotation.scanline import LatticePoints, Segments, count_inside, is_inside, points_near
 from symsol_annot.objects.mesh import Mesh
-from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import engine_named
 from symsol_annot.rendering.settings import RenderSettings
@@ -28,13 +27,6 @@ Flags = npt.NDArray[np.bool_]
 _PRODUCT = 1 << 18  # multiplications of one matrix product, beyond which OpenBLAS would start threads
 _NEXT = [1, 2, 0]  # the corner after each of a triangle's three
 _CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
-
-
-def visibility_of(spec: ObjectSpec, camera: Camera, settings: RenderSettings) -> "MarkingVisibility | None":
-    """Return what decides by geometry whether an object's marking shows; None without a marking or a convex body."""
-    if spec.marking is None or not is_convex(spec.mesh):
-        return None
-    return MarkingVisibility(spec.mesh, camera, settings)
 
 
 def is_convex(mesh: Mesh) -> bool:

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.plotting.canvas import new_figure, write_figure
+from symsol_annot.plotting.canvas import colour_patch, label_text, new_figure, write_figure
 from symsol_annot.plotting.rotations import draw_pi_ball
 from symsol_annot.sets.dataset import Sample
+from symsol_annot.sets.equality import PartsOfSet
 
 _THESIS_COLOURS = ((0, 0, 0), (140, 30, 30), (240, 128, 128))  # as in figure 5.2
 _GOLDEN = (5**0.5 - 1.0) / 2.0  # of a turn of the hue from one id to the next
 _COLUMN_INCHES = 2.2
+_MOST_IN_LEGEND = 12
 
 
 def _colours_of_ids() -> npt.NDArray[np.uint8]:
@@ -26,7 +28,14 @@ def _colours_of_ids() -> npt.NDArray[np.uint8]:
 ID_COLOURS = _colours_of_ids()  # (256, 3), of a segmentation's ids: background, body, then the other parts
 
 
-def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, has_marking: bool = True) -> None:
+def contact_sheet(
+    samples: Sequence[Sample],
+    path: Path,
+    columns: int = 4,
+    *,
+    has_marking: bool = True,
+    parts: PartsOfSet | None = None,
+) -> None:
     """Write a picture with each sample's image, its segmentation, and its symmetry set in the pi-ball.
 
     Args:
@@ -34,6 +43,7 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
         path: a PNG, PDF or SVG.
         columns: how many samples stand in a row.
         has_marking: whether to say over a segmentation how much of the marking shows.
+        parts: those of an object of format version 2, which are named in its place, with a legend of their colours.
 
     Raises:
         OutputError: the file cannot be written.
@@ -47,14 +57,27 @@ def contact_sheet(samples: Sequence[Sample], path: Path, columns: int = 4, *, ha
         places = [(rows, 3 * columns, 3 * columns * row + 3 * column + part + 1) for part in range(3)]
         _draw_picture(figure.add_subplot(*places[0]), sample.image, f"image {sample.index}")
         if sample.segmentation is not None:
-            caption = _marking_caption(sample) if has_marking else "segmentation"
+            caption = parts.in_words(sample.part_pixels) if parts else _marking_caption(sample, has_marking=has_marking)
             _draw_picture(figure.add_subplot(*places[1]), ID_COLOURS[sample.segmentation], caption)
         if sample.is_annotated:
             ball = figure.add_subplot(*places[2], projection="3d")
             members = sample.symmetry_set.members
             draw_pi_ball(ball, members, sample.rotation)
             ball.set_title(f"|S| = {len(members)}", fontsize=8, pad=0)
+    if parts:
+        _add_legend(figure, parts)
     write_figure(figure, path)
+
+
+def _add_legend(figure: Any, parts: PartsOfSet) -> None:
+    """Name the parts below the pictures, each with its colour in the segmentations."""
+    names = parts.names[:_MOST_IN_LEGEND]
+    colours = ID_COLOURS[1 : len(names) + 1] / 255.0
+    handles = [
+        colour_patch((red, green, blue), label_text(name))
+        for name, (red, green, blue) in zip(names, colours.tolist(), strict=True)
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False)
 
 
 def _draw_picture(axes: Any, pixels: npt.NDArray[np.uint8], caption: str) -> None:
@@ -65,7 +88,9 @@ def _draw_picture(axes: Any, pixels: npt.NDArray[np.uint8], caption: str) -> Non
         spine.set(color="0.8", linewidth=0.6)
 
 
-def _marking_caption(sample: Sample) -> str:
+def _marking_caption(sample: Sample, *, has_marking: bool) -> str:
+    if not has_marking:
+        return "segmentation"
     if sample.marking_visible:
         return f"marking shows, {sample.marking_pixels:.4g} px"
     return "marking hidden" if sample.marking_pixels == 0 else f"hidden, {sample.marking_pixels:.4g} px"
