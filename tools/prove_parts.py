@@ -1,6 +1,6 @@
 """Sets of objects with parts against all of their candidates drawn whole; exits 1 on a difference.
 
-python tools/prove_parts.py [--object mug] [--hidden 120] [--grazing 100] [--json docs/results/parts.json]
+python tools/prove_parts.py [--object mug] [--hidden 100] [--grazing 100] [--json docs/results/parts.json]
 
 Hidden views are those of a test split of seed 0 under which something that breaks the symmetry is out of sight: all of
 it, or one of several patches (a dot, a pip, a face). Grazing ones are found by bisection, on the way from a view that
@@ -44,28 +44,64 @@ def main():
     parser.add_argument("--object", dest="objects", action="append", help=f"by default {', '.join(OBJECTS)}")
     parser.add_argument("--engine", default="opengl")
     parser.add_argument("--size", type=int, default=DEFAULT_SIZE)
-    parser.add_argument("--hidden", type=int, default=120)
+    parser.add_argument("--hidden", type=int, default=100)
     parser.add_argument("--grazing", type=int, default=100)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--minutes", type=float, help="stop after so long; the same command goes on")
+    parser.add_argument("--rows", type=Path, help="one line of JSON per view: what is there already is not done again")
+    parser.add_argument("--json", type=Path, help="the counts; those of other objects that it holds are kept")
     arguments = parser.parse_args()
-    found = {name: prove(name, arguments) for name in arguments.objects or OBJECTS}
+    end = time.monotonic() + 60 * (arguments.minutes or float("inf"))
+    found = {name: prove(name, arguments, end) for name in arguments.objects or OBJECTS}
     for name, kinds in found.items():
         for kind, row in kinds.items():
             print(f"{name}, {kind}:", ", ".join(f"{key} {value}" for key, value in row.items()))
     if arguments.json:
-        arguments.json.write_text(json.dumps({**vars(arguments), "json": None, "found": found}, indent=1) + "\n")
+        write(arguments, found)
     sys.exit(1 if any(row["differences"] for kinds in found.values() for row in kinds.values()) else 0)
 
 
-def prove(name, arguments):
+def write(arguments, found):
+    """Write the counts of objects beside those of others that the file holds."""
+    before = json.loads(arguments.json.read_text())["found"] if arguments.json.exists() else {}
+    merged = {name: (before | found)[name] for name in OBJECTS if name in before | found}
+    about = {"engine": arguments.engine, "size": arguments.size, "seed": SEED, "found": merged}
+    arguments.json.write_text(json.dumps(about, indent=1) + "\n")
+
+
+def prove(name, arguments, end):
     """Return the counts of each kind of view of an object."""
     wanted = {"hidden": arguments.hidden, "grazing": arguments.grazing}
     setup = (name, arguments.engine, arguments.size)
-    tasks = [(setup, kind, number, many) for kind, many in wanted.items() for number in range(many)]
+    rows = rows_of(arguments.rows, setup)
+    done = {(row["kind"], row["number"]) for row in rows}
+    numbers = [(kind, n, many) for n in range(max(wanted.values())) for kind, many in wanted.items() if n < many]
+    tasks = ((setup, *one) for one in numbers if one[:2] not in done and time.monotonic() < end)
     with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
-        rows = list(tqdm(pool.imap_unordered(compare, tasks), total=len(tasks), unit="view", desc=name))
+        left = len(numbers) - len(done)
+        for row in tqdm(handed_out(pool, tasks, arguments.processes), total=left, unit="view", desc=name):
+            rows.append(row)
+            if arguments.rows:
+                with arguments.rows.open("a") as file:
+                    file.write(json.dumps({"setup": setup, **row}) + "\n")
     return {kind: summary([row for row in rows if row["kind"] == kind]) for kind, many in wanted.items() if many}
+
+
+def handed_out(pool, tasks, processes):
+    """Yield what comes of tasks, of which no more are begun than there are processes, so that they can end in time."""
+    running = []
+    for task in tasks:
+        running.append(pool.apply_async(compare, (task,)))
+        while len(running) > processes:
+            yield running.pop(0).get()
+    for one in running:
+        yield one.get()
+
+
+def rows_of(path, setup):
+    """Return what is known of views of a set-up already."""
+    lines = path.read_text().splitlines() if path and path.exists() else []
+    return [row for row in map(json.loads, lines) if tuple(row.pop("setup")) == setup]
 
 
 def summary(rows):
@@ -80,7 +116,7 @@ def summary(rows):
         "sizes": {str(size): many for size, many in sorted(Counter(row["members"] for row in rows).items())},
         "ms_where_nothing_shows": round(statistics.median(unseen), 1) if unseen else None,
         "ms_where_something_shows": round(statistics.median(seen), 1) if seen else None,
-        "ms_of_drawing_all": round(statistics.median(row["exhaustive_ms"] for row in rows), 1),
+        "ms_of_drawing_all": round(statistics.median([row["exhaustive_ms"] for row in rows] or [0.0]), 1),
         "faults": [row["fault"] for row in rows if row["fault"]],
     }
 
@@ -130,6 +166,7 @@ class Prover:
         wrong = checked[finer != mask[checked]]
         return {
             "kind": kind,
+            "number": number,
             "shows": shows,
             "candidates": len(mask),
             "members": int(mask.sum()),
@@ -207,17 +244,15 @@ class Prover:
         rng = np.random.default_rng([SEED, number])
         patch = int(rng.integers(self._patches.max() + 1))
         shows = self._shows if number % 2 else self._draws
-        shown, hidden = None, None
+        found = {}
         for index in count():
             R = uniform_rotations(1, rng)[0]
-            if shows(R, patch):
-                shown = R
-            else:
-                hidden = R
-            if shown is not None and hidden is not None:
+            found[shows(R, patch)] = R
+            if len(found) == 2:
                 break
             if index > 200:  # something always shows: as with pips, of which one is drawn by no picture of its own
                 shows = self._shows
+        shown, hidden = found[True], found[False]
         axis, angle = turn_between(shown, hidden)
         low, high = 0.0, angle
         for _ in range(BISECTIONS):

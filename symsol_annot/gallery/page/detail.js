@@ -120,9 +120,11 @@ SYMSOL.detail = (() => {
     byId("segmentation-caption").textContent = `Segmentation, ${markingOf(id)}`;
     if (isPlain) return;
     set.parts.forEach((name, number) => {
-      const legend = make("span", ` \u25a0 ${name}`);
-      legend.style.color = set.part_colours[number];
-      byId("segmentation-caption").append(legend);
+      const legend = make("span", ""), square = make("span", "\u25a0");
+      square.style.color = set.part_colours[number];
+      legend.className = "part";
+      legend.append(square, ` ${name}`);
+      byId("segmentation-caption").append(" ", legend);
     });
   }
 
