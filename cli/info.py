@@ -14,6 +14,8 @@ from symsol_annot.sets.shard.layout import NEWEST
 from symsol_annot.sets.statistics import SplitStatistics, sizes_in_words, split_statistics
 from symsol_annot.system.text.names import SPLITS
 
+_MOST_LINES = 40  # on sets by which parts show
+
 
 @click.command(epilog=example("symsol-annot info data/cylO", "symsol-annot info data/cylO --json"))
 @SET_FOLDER
@@ -79,8 +81,19 @@ def _split_document(folder: Path, manifest: Manifest, split: str) -> dict[str, A
         "fingerprint": manifest.split_fingerprint(split),
         "has_symmetry_sets": statistics.is_annotated,
         "marking_shown": statistics.shown if statistics.has_marking else None,
+        "parts_shown": dict(statistics.parts_shown) or None,
+        "set_sizes_by_parts": _sizes_by_parts(statistics) if statistics.is_annotated else None,
         "set_sizes": sizes if statistics.is_annotated else None,
     }
+
+
+def _sizes_by_parts(statistics: SplitStatistics) -> list[dict[str, Any]] | None:
+    """Return the sizes of sets by which parts an image shows; None for an object that has no parts by name."""
+    found = statistics.sizes_by_parts
+    return [
+        {"parts": list(names), "set_sizes": {str(size): count for size, count in sorted(sizes.items())}}
+        for names, sizes in sorted(found.items())
+    ] or None
 
 
 def _print_drawing(settings: RenderedSettings) -> None:
@@ -114,19 +127,22 @@ def _print_statistics(statistics: SplitStatistics, *, is_sealed: bool) -> None:
     if not images:
         return
     if statistics.has_marking:
-        shown = statistics.shown
-        for name, count in statistics.parts_shown.items():
+        shows = {name: statistics.parts_shown[name] for name in statistics.telling}
+        if len(statistics.breaking) != 1:
+            shows["any part that breaks the symmetry" if statistics.breaking else "marking"] = statistics.shown
+        for name, count in shows.items():
             say(f"  {name} shows in {count} of {images} ({100 * count / images:.1f}%)")
-        what = "any of them" if statistics.parts_shown else "marking"
-        say(f"  {what} shows in {shown} of {images} ({100 * shown / images:.1f}%)")
     if not statistics.is_annotated:
         why = ": they are sealed" if is_sealed else ": none are known" if statistics.is_imported else ""
         say(f"  without symmetry sets{why}")
         return
     say(f"  |S|: {sizes_in_words(statistics.set_sizes)}")
-    for names, sizes in sorted(statistics.sizes_by_parts.items()):
-        say(f"    where {' and '.join(names) or 'none of the parts'} shows: {sizes_in_words(sizes)}")
-    if statistics.parts_shown:
+    by_parts = sorted(statistics.sizes_by_telling_parts.items()) if statistics.telling else []
+    for names, sizes in by_parts[:_MOST_LINES]:
+        say(f"    with {', '.join(names) or 'none of these parts'} in view: {sizes_in_words(sizes)}")
+    if by_parts[_MOST_LINES:]:
+        say(f"    and {len(by_parts) - _MOST_LINES} other choices of parts, which --json lists")
+    if statistics.breaking:
         say(
             f"  of {statistics.candidates_drawn} candidates, {statistics.candidates_within_tolerance} differ by less "
             "than the tolerance"

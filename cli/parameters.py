@@ -22,7 +22,14 @@ class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the 
     name = "OBJECT"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> ObjectSpec:
-        """Load the object; an unknown one is a fault of the command line."""
+        """Load the object; an unknown one, or one of two of that name, is a fault of the command line."""
+        if value in builtin_names() and (Path(value) / "object.toml").is_file():
+            self.fail(
+                f"{value!r} is a built-in object, and an object's folder here: './{value}' names the folder; "
+                "for the built-in one, rename the folder, or run the command elsewhere",
+                param,
+                ctx,
+            )
         try:
             return load_object(value)
         except UnknownObjectError as error:

@@ -50,7 +50,12 @@ def images(folder: Path, split: str, start: int, count: int, out: Path | None) -
     if start >= len(samples):
         raise click.UsageError(f"--start {start}: the split has {len(samples)} images, from 0")
     path = out or Path(f"{folder.resolve().name}-{split}.png")
-    contact_sheet(samples[start : start + count], path, has_marking=samples.has_marking)
+    contact_sheet(
+        samples[start : start + count],
+        path,
+        has_marking=samples.has_marking,
+        parts=samples.manifest.settings.named_parts,
+    )
     say(path)
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.deciding import Visibility, visibility_of
 from symsol_annot.annotation.general_rule import GeneralRule
-from symsol_annot.annotation.visibility import MarkingVisibility, visibility_of
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.renderer import Renderer, View
@@ -53,7 +53,7 @@ class Annotator:
 
     spec: ObjectSpec
     renderer: Renderer
-    visibility: MarkingVisibility | None = None
+    visibility: Visibility | None = None
     general_rule: GeneralRule | None = None
 
     @classmethod

@@ -6,34 +6,28 @@ seen there, and in its shade. It is a member where fewer than T pixels of points
 itself: it is the same by its group.
 
 On a circle, which its steps only sample, the set is the continuous limit's. An image that shows a part has no
-neighbours in it that differ from it by less than the lattice can tell: there a member also has to have, wherever the
-image shows a breaking part, the very surface of that part.
+neighbours in it that differ from it by less than the lattice can tell: there a member also has to have what
+`continuous_limit` asks for.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.continuous_limit import have_the_same, what_is_seen
+from symsol_annot.annotation.deciding import Visibility
 from symsol_annot.annotation.symmetry_set import circles_of
-from symsol_annot.annotation.visibility import MarkingVisibility
-from symsol_annot.objects.finding.distances import SurfaceDistance
-from symsol_annot.objects.mesh import Mesh
 from symsol_annot.objects.spec import ObjectSpec
-from symsol_annot.objects.surface import SURFACE_TOLERANCE
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.renderer import LitWindow, Renderer
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import Rotations
 
 Areas = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 SHADE_LEVELS = 12  # of 255, beyond which two shades are not the same
 _AT_ONCE = 16  # candidates whose windows are held
-_SURFACE_POINTS = 24  # at which surfaces are compared
-_EDGE = 1e-3  # in barycentric coordinates: a rasteriser draws points that lie a little beside a triangle
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +39,7 @@ class GeneralRule:
         renderer: draws candidates.
         camera: what the object is seen through.
         settings: the lattice.
-        visibility: tells by geometry where all parts hide; the sets are the same without it.
+        visibility: tells by geometry where parts show or hide; the sets are the same without it.
         exhaustive: draw and compare every candidate, also where counting points decides; the sets are the same.
     """
 
@@ -53,7 +47,7 @@ class GeneralRule:
     renderer: Renderer
     camera: Camera
     settings: RenderSettings
-    visibility: MarkingVisibility | None = None
+    visibility: Visibility | None = None
     exhaustive: bool = False
 
     def shown_px(self, part_pixels: Areas) -> float:
@@ -74,7 +68,8 @@ class GeneralRule:
         own_px = float(self.renderer.marking_pixels(R_gt[None])[0])
         image = self.renderer.lit_windows(R_gt[None])[0] if own_px > 0 or self.exhaustive else None
         if image is not None and self._is_shown(own_px) and circles_of(group) is not None:
-            others = others[self._share_surfaces(R_gt, image, group[others[:, 0]])]
+            seen = what_is_seen(self.spec.mesh, R_gt, image, self.camera.lattice(self.settings.samples_per_axis))
+            others = others[have_the_same(self.spec.mesh, seen, group[others[:, 0]])]
         candidates = R_gt @ group[others.reshape(-1)]
         areas = self._areas(candidates, own_px, image).reshape(others.shape)
         found[others] = areas.max(axis=1, keepdims=True, initial=0.0)
@@ -116,27 +111,6 @@ class GeneralRule:
                 counts[number] = differing_points(image, window, self.spec.mesh.breaking)
         return counts / self.settings.points_per_pixel
 
-    @cached_property
-    def _distances(self) -> dict[int, SurfaceDistance]:
-        """What measures distances to the surface of each breaking part, by its id."""
-        return {part: SurfaceDistance(self.spec.mesh.triangles_of(part)) for part in self.spec.mesh.breaking}
-
-    def _share_surfaces(self, R_gt: Rotations, image: LitWindow, group: Rotations) -> Flags:
-        """Tell for which g (n, 3, 3) breaking parts at R_gt g have all the surface that the image shows: (n,)."""
-        mesh, found = self.spec.mesh, np.ones(len(group), dtype=bool)
-        lattice, is_seen = self.camera.lattice(self.settings.samples_per_axis), False
-        for part in mesh.breaking:
-            points = _seen_points(mesh, part, R_gt, image, lattice)
-            is_seen |= len(points) > 0
-            distance = self._distances[part]
-            low, high = distance.corners.min(axis=(0, 1)), distance.corners.max(axis=(0, 1))
-            for point in points:
-                turned = point @ group[found]  # g^-1 point
-                lies_on = ((turned >= low - SURFACE_TOLERANCE) & (turned <= high + SURFACE_TOLERANCE)).all(axis=1)
-                lies_on[lies_on] = distance(turned[lies_on], SURFACE_TOLERANCE) <= SURFACE_TOLERANCE
-                found[found] = lies_on
-        return found & is_seen
-
 
 def differing_points(image: LitWindow, other: LitWindow, breaking: tuple[int, ...]) -> int:
     """Return at how many points of the lattice two images differ, of those where either shows a breaking part.
@@ -157,28 +131,3 @@ def differing_points(image: LitWindow, other: LitWindow, breaking: tuple[int, ..
     shades = np.abs(image.rgb[here][either].astype(np.int16) - other.rgb[there][either]).max(axis=-1, initial=0)
     differs = (image.ids[here][either] != other.ids[there][either]) | (shades > SHADE_LEVELS)
     return count - int(np.count_nonzero(breaks)) - int(np.count_nonzero(other_breaks)) + int(np.count_nonzero(differs))
-
-
-def _seen_points(mesh: Mesh, part: int, R_m2c: Rotations, image: LitWindow, lattice: Camera) -> Areas:
-    """Return points (k, 3) of a part, in model coordinates, that an image shows, spread over what it shows of it."""
-    rows, columns = np.nonzero(image.ids == part)
-    chosen = np.unique(np.linspace(0, len(rows) - 1, _SURFACE_POINTS).astype(int)) if len(rows) else np.zeros(0, int)
-    uv = np.stack([columns[chosen] + image.window.left, rows[chosen] + image.window.top], axis=1) + 0.5
-    centre = np.array([lattice.width / 2, lattice.height / 2])
-    rays = np.column_stack([(uv - centre) / lattice.focal_px, np.ones(len(uv))]) @ R_m2c  # in model coordinates
-    start = -lattice.distance * R_m2c[2]
-    a, b, c = np.moveaxis(mesh.triangles_of(part), 1, 0)
-    normals = np.cross(b - a, c - a)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = ((a - start) * normals).sum(axis=1) / (rays @ normals.T)  # (k, T)
-        points = start + depth[..., None] * rays[:, None]
-        squared = (normals**2).sum(axis=1)
-        weights = [
-            (np.cross(end - begin, points - begin) * normals).sum(axis=-1) / squared
-            for begin, end in ((a, b), (b, c), (c, a))
-        ]
-        hits = (np.minimum.reduce(weights) >= -_EDGE) & (rays @ normals.T < 0)
-    depth = np.where(hits, depth, np.inf)
-    nearest = depth.argmin(axis=1) if depth.size else np.zeros(0, int)
-    is_hit = np.isfinite(depth[np.arange(len(nearest)), nearest])
-    return np.asarray(points[np.arange(len(nearest)), nearest][is_hit])

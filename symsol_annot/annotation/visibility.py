@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.annotation.scanline import LatticePoints, Segments, count_inside, is_inside, points_near
-from symsol_annot.objects.mesh import Mesh, face_planes, is_convex
-from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.objects.mesh import Mesh, face_planes
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import engine_named
 from symsol_annot.rendering.settings import RenderSettings
@@ -27,13 +26,6 @@ Flags = npt.NDArray[np.bool_]
 
 _PRODUCT = 1 << 18  # multiplications of one matrix product, beyond which OpenBLAS would start threads
 _NEXT = [1, 2, 0]  # the corner after each of a triangle's three
-
-
-def visibility_of(spec: ObjectSpec, camera: Camera, settings: RenderSettings) -> "MarkingVisibility | None":
-    """Return what decides by geometry whether an object's marking shows; None without a marking or a convex body."""
-    if spec.marking is None or not is_convex(spec.mesh):
-        return None
-    return MarkingVisibility(spec.mesh, camera, settings)
 
 
 class MarkingVisibility:

@@ -162,9 +162,19 @@ def _describe(source: Source, redrawn: Document) -> Document:
         "group": packed(rotation_to_quat_wxyz(truth.labels.symmetry_group), "f4"),
         "stratum": packed(codes[:shown], "u1"),
         "set_size": packed(truth.set_sizes[:shown], "u4"),
+        **_parts_in_view(source, shown),
         "marking_px": packed(truth.labels.marking_pixels[:shown], "f4"),
         "redrawn": redrawn,
     }
+
+
+def _parts_in_view(source: Source, shown: int) -> Document:
+    """Return which parts break the symmetry, and for each image whether it shows each of all parts; else nothing."""
+    parts, areas_px = source.dataset.manifest.settings.named_parts, source.truth.labels.part_pixels
+    if parts is None or areas_px is None:
+        return {"breaking": [], "in_view": None}
+    shows = areas_px[:shown] >= (parts.tolerance_px or np.finfo(np.float32).tiny)
+    return {"breaking": [number - 1 for number in parts.breaking], "in_view": packed(shows, "u1")}
 
 
 def _describe_run(run: Run, source: Source) -> Document:

@@ -16,6 +16,7 @@ from symsol_annot.rotations.so3 import Rotations, angle_between
 Flags = npt.NDArray[np.bool_]
 
 _SAME = 1e-6  # of two elements' matrices
+_FEW_POINTS = 4  # that most rotations move off the part
 _MOMENT_SLACK = 1e-4  # of centroids and second moments, beyond what the surface's tolerance can move them by
 
 
@@ -24,36 +25,42 @@ def stabiliser_of_part(triangles: Points, group: Rotations) -> Flags:
     certified = np.zeros(len(group), dtype=bool)
     certified[0] = True
     is_open = _moments_fit(triangles, triangles, group)
-    points = _points_of(triangles)
     generators: list[int] = []
     for element in np.argsort(angle_between(group, np.eye(3)), kind="stable").tolist():
         if not is_open[element] or certified[element]:
             continue
-        if _lands(points, triangles, group[element]):
+        coset = nearest_element(group, group[element] @ group[certified])
+        if is_open[coset].all() and _lands(triangles, triangles, group[element]):
             generators.append(element)
             certified = _generated(group, certified, generators)
         else:
-            refuted = nearest_element(group, group[element] @ group[certified])
-            is_open[refuted] = False
+            is_open[coset] = False
     return certified
 
 
 def carried_onto(triangles: Points, others: Points, group: Rotations) -> Flags:
     """Tell which rotations of a group (G, 3, 3) carry triangles (T, 3, 3) onto other ones (U, 3, 3): (G,)."""
     fits = _moments_fit(triangles, others, group)
-    points = _points_of(triangles)
     for element in np.flatnonzero(fits).tolist():
-        fits[element] = _lands(points, others, group[element])
+        fits[element] = _lands(triangles, others, group[element])
     return fits
 
 
-def _points_of(triangles: Points) -> Points:
-    """Return points spread over triangles, followed by all their corners."""
-    return np.concatenate([surface_points(triangles), np.unique(triangles.reshape(-1, 3), axis=0)])
+def _lands(triangles: Points, others: Points, R: Rotations) -> bool:
+    """Tell whether a rotation carries points spread over triangles, and all their corners, onto other triangles.
 
+    A few points refute most rotations. A corner that comes to lie on a corner needs no distance to triangles.
+    """
+    points = surface_points(triangles)
+    for some in (points[-_FEW_POINTS:], points[:-_FEW_POINTS]):
+        if surface_offsets(some, others, R[None])[0] > SURFACE_TOLERANCE:
+            return False
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - scipy is slow to load, and most rotations are refuted before
 
-def _lands(points: Points, triangles: Points, R: Rotations) -> bool:
-    return bool(surface_offsets(points, triangles, R[None])[0] <= SURFACE_TOLERANCE)
+    corners, targets = (np.unique(some.reshape(-1, 3), axis=0) for some in (triangles, others))
+    to_corner, _ = cKDTree(targets).query(corners @ R.T, distance_upper_bound=SURFACE_TOLERANCE)
+    beside = corners[~(to_corner <= SURFACE_TOLERANCE)]
+    return bool(surface_offsets(beside, others, R[None])[0] <= SURFACE_TOLERANCE)
 
 
 def _generated(group: Rotations, certified: Flags, generators: list[int]) -> Flags:

@@ -36,6 +36,7 @@ from symsol_annot.system.text.names import OBJECT_NAME_RULE, is_object_name
 from symsol_annot.system.text.toml import MAX_TOML_BYTES, TITLE_RULE, is_title, shown
 
 OBJECT_FORMAT_VERSIONS = (1, 2)
+PUBLISHED_NAMES = ("tet", "cube", "icosa", "cone", "cyl", "tetX", "cylO")  # of the benchmark; others ship beside them
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class ObjectSpec:
 
 
 def builtin_names() -> tuple[str, ...]:
-    """Return the names of the built-in objects, sorted."""
+    """Return the names of the built-in objects, sorted: those of `PUBLISHED_NAMES`, and what ships beside them."""
     return tuple(sorted(entry.name for entry in _assets().iterdir() if (entry / "object.toml").is_file()))
 
 

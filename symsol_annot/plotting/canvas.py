@@ -34,6 +34,13 @@ def new_figure(**options: Any) -> Any:
     return figure
 
 
+def colour_patch(colour: tuple[float, float, float], label: str) -> Any:
+    """Return a rectangle of a colour (RGB from 0 to 1), as a legend has it beside a label."""
+    from matplotlib.patches import Patch
+
+    return Patch(color=colour, label=label)
+
+
 def label_text(name: str) -> str:
     """Return text that matplotlib shows as it is: no `$` begins a formula, no leading `_` hides it from a legend."""
     escaped = name.replace("$", r"\$")

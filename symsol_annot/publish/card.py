@@ -10,6 +10,7 @@ from symsol_annot.publish.citation import bibtex
 from symsol_annot.publish.croissant import GROUPS_NAME
 from symsol_annot.publish.figures import Figures, SplitFigures
 from symsol_annot.publish.sets import GROUPS_CONFIG, PublishedSet
+from symsol_annot.sets.equality import PartsOfSet
 from symsol_annot.sets.statistics import sizes_in_words
 from symsol_annot.system.text.markdown import escaped, fenced
 
@@ -37,6 +38,8 @@ def card(about: About, sets: tuple[PublishedSet, ...], figures: Figures) -> str:
         first=first.name,
         split=split,
         depth=_depth_in_words(sets),
+        ids=_ids_in_words(sets),
+        parts=_parts_in_words(sets),
         **_code_of_sets(first.name, is_annotated=bool(annotated)),
         contents=_contents(sets, figures),
         measured=_measured(sets, figures),
@@ -141,6 +144,36 @@ def _cells(found: SplitFigures) -> list[str]:
         f"{counted.candidates_drawn:,}",
         f"{counted.candidates_within_tolerance:,}",
     ]
+
+
+def _named(sets: tuple[PublishedSet, ...]) -> list[tuple[str, PartsOfSet]]:
+    """Return the sets whose objects have parts by name, and these parts."""
+    return [(one.name, parts) for one in sets if (parts := one.manifest.settings.named_parts)]
+
+
+def _ids_in_words(sets: tuple[PublishedSet, ...]) -> str:
+    """Say which ids segmentations have: those of objects with parts are named one by one."""
+    named, plain = _named(sets), "1 body, 2 marking"
+    rows = [
+        f"of {name} " + ", ".join(f"{number} {part}" for number, part in enumerate(parts.names, start=1))
+        for name, parts in named
+    ]
+    return "; ".join([*([plain] if len(named) < len(sets) else []), *rows])
+
+
+def _parts_in_words(sets: tuple[PublishedSet, ...]) -> str:
+    """Say which rule the sets of objects with parts follow; nothing where there are none."""
+    named = _named(sets)
+    if not named:
+        return ""
+    whose = "; ".join(
+        f"{name}: {', '.join(parts.names[part - 1] for part in parts.breaking) or 'none'}" for name, parts in named
+    )
+    return (
+        f"\n- Of {', '.join(name for name, _ in named)}, images are compared part by part instead: the set has the "
+        "candidates whose images differ by less than T in the parts that break the symmetry, and those that move each "
+        f"part onto itself. These parts are, of {whose}. `marking_pixels` is the area of the one that shows most."
+    )
 
 
 def _depth_in_words(sets: tuple[PublishedSet, ...]) -> str:

@@ -56,12 +56,16 @@ _CONTEXT: dict[str, Any] = {  # the standard one: mlcroissant warns where a name
 _SAMPLE_FIELDS: dict[str, tuple[str, str | None, str]] = {  # type, shape, description
     "index": ("cr:Int64", None, "Index of the image within its split."),
     "image": ("sc:ImageObject", None, "RGB, 8 bits."),
-    "segmentation": ("sc:ImageObject", None, "Grey PNG of ids: 0 background, 1 body, 2 marking."),
+    "segmentation": ("sc:ImageObject", None, "Grey PNG of ids: 0 background, then the set's parts from 1 on."),
     "rotation": ("cr:Float64", "3,3", "R_m2c, model to camera: the rotation that the image was drawn at."),
     "symmetry_mask": ("sc:Boolean", "-1", "Which elements of the body's symmetry group are in the image's set."),
     "marking_pixels": ("cr:Float32", None, "The marking's visible area in pixels; 0 without a marking."),
     "marking_visible": ("sc:Boolean", None, "Whether that is at least the object's tolerance."),
     "part_pixels": ("cr:Float32", "-1", "The visible area in pixels of each of the set's parts; null where not known."),
+}
+_FIELDS_OF_PARTS = {  # of sets whose objects have parts by name
+    "marking_pixels": "The visible area in pixels of that part which shows most, of those that break the symmetry.",
+    "marking_visible": "Whether that is at least the object's tolerance.",
 }
 _GROUP_FIELDS: dict[str, tuple[str, str | None, str]] = {
     "set": ("sc:Text", None, "The set's name."),
@@ -90,7 +94,9 @@ def croissant_json(
             }
             distribution.append(files)
             source = {"fileSet": {"@id": files["@id"]}}
-            record_sets.append(_record_set(name, f"The {split} images of {published.name}.", source, _SAMPLE_FIELDS))
+            record_sets.append(
+                _record_set(name, f"The {split} images of {published.name}.", source, _fields_of(published))
+            )
     source = {"fileObject": {"@id": GROUPS_NAME}}
     record_sets.append(
         _record_set(GROUPS_CONFIG, "The symmetry group of each set's body, and its parts.", source, _GROUP_FIELDS)
@@ -113,6 +119,18 @@ def croissant_json(
         "recordSet": record_sets,
     }
     return (json.dumps(document, indent=1) + "\n").encode()
+
+
+def _fields_of(published: PublishedSet) -> dict[str, tuple[str, str | None, str]]:
+    """Return the columns of a set's images, described by the names of its parts."""
+    settings = published.manifest.settings
+    ids = ", ".join(f"{number} {name}" for number, name in enumerate(settings.parts, start=1))
+    described = {"segmentation": f"Grey PNG of ids: 0 background, {ids}."}
+    if settings.named_parts:
+        described |= _FIELDS_OF_PARTS
+    return {
+        column: (kind, shape, described.get(column, text)) for column, (kind, shape, text) in _SAMPLE_FIELDS.items()
+    }
 
 
 def _file(name: str, encoding: str, bundle: Bundle) -> dict[str, Any]:

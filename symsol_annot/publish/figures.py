@@ -69,7 +69,7 @@ def to_document(figures: Figures) -> dict[str, Any]:
     for (name, split), found in figures.items():
         sizes = {str(size): images for size, images in sorted(found.statistics.set_sizes.items())}
         statistics = {**asdict(found.statistics), "set_sizes": sizes}
-        for of_parts in ("parts_shown", "sizes_by_parts"):  # of objects that a card tells nothing of
+        for of_parts in ("parts_shown", "breaking", "sizes_by_parts"):  # of objects that a card tells nothing of
             del statistics[of_parts]
         document.setdefault(name, {})[split] = {**asdict(found), "statistics": statistics}
     return document

@@ -24,7 +24,7 @@ from symsol_annot.system.reading import file_sha256
 
 _DESCRIPTION = (
     "Images of symmetric objects, rendered in Blender, each with the set of all rotations that could have produced it, "
-    "the object's own occlusion of its marking counted in."
+    "the object's own occlusion of what breaks its symmetry counted in."
 )
 
 

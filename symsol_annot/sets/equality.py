@@ -4,6 +4,9 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
 from symsol_annot.objects.mesh import BODY_ID
 from symsol_annot.objects.parts import MAX_PARTS, Colour
@@ -11,6 +14,7 @@ from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rotations.groups import nearest_element
 from symsol_annot.system.text.names import is_object_name
 
+_MOST_NAMES = 4  # that are listed
 _KEYS = ("parts", "colours", "breaking", "stabiliser")
 
 
@@ -89,3 +93,40 @@ def _is_colour(value: Any) -> bool:
 def _is_ascending(values: list[Any], least: int, most: int) -> bool:
     are_whole = all(type(value) is int and least <= value <= most for value in values)
     return are_whole and sorted(set(values)) == values
+
+
+@dataclass(frozen=True)
+class PartsOfSet:
+    """The parts of a set's object, as pictures of its images name them.
+
+    Attributes:
+        names: in the order of their ids, the first of id 1.
+        breaking: the ids of those that break the body's symmetry.
+        tolerance_px: a part shows where its visible area reaches this; None where none breaks the symmetry.
+    """
+
+    names: tuple[str, ...]
+    breaking: tuple[int, ...]
+    tolerance_px: float | None
+
+    @property
+    def is_one(self) -> bool:
+        """Whether a single part breaks the body's symmetry."""
+        return len(self.breaking) == 1
+
+    def in_view(self, part_pixels: npt.NDArray[np.float32]) -> tuple[str, ...]:
+        """Return the names of the parts that an image shows, given their areas (P,) in pixels."""
+        least = self.tolerance_px or np.finfo(np.float32).tiny
+        return tuple(name for name, area_px in zip(self.names, part_pixels, strict=True) if area_px >= least)
+
+    def in_words(self, part_pixels: npt.NDArray[np.float32] | None) -> str:
+        """Say which parts an image shows; where a single one breaks the symmetry, by how many pixels that shows."""
+        if part_pixels is None or not self.breaking:
+            return "segmentation"
+        if self.is_one:
+            name, area_px = self.names[self.breaking[0] - 1], float(part_pixels[self.breaking[0] - 1])
+            return f"{name}: {area_px:.4g} px" if area_px > 0 else f"{name}: out of sight"
+        shown = self.in_view(part_pixels)
+        if len(shown) > _MOST_NAMES:
+            return f"{len(shown)} of {len(self.names)} parts in view"
+        return f"in view: {', '.join(shown)}"

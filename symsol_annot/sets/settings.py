@@ -12,7 +12,7 @@ from typing import Any
 
 from symsol_annot.rendering.camera import SIZE_RANGE, Camera
 from symsol_annot.rendering.settings import RenderSettings
-from symsol_annot.sets.equality import Equality, equality_from_json
+from symsol_annot.sets.equality import Equality, PartsOfSet, equality_from_json
 from symsol_annot.system.text.names import is_object_name
 
 ANNOTATE_CHOICES = ("all", "test", "none")
@@ -63,6 +63,11 @@ class SetSettings(ABC):
     def has_depth(self) -> bool:
         """Whether every image has a depth map."""
 
+    @property
+    def named_parts(self) -> PartsOfSet | None:
+        """The parts of an object of format version 2, as pictures name them; None for another."""
+        return None
+
     @abstractmethod
     def to_json(self) -> dict[str, Any]:
         """Return the settings as they stand in manifest.json, in the order of its keys; None for what is not known."""
@@ -108,6 +113,12 @@ class RenderedSettings(SetSettings):
         if self.equality is not None:
             return self.equality.parts
         return ("body", "marking") if self.has_marking else ("body",)
+
+    @property
+    def named_parts(self) -> PartsOfSet | None:
+        """The parts of an object of format version 2, as pictures name them; None for another."""
+        stated = self.equality
+        return None if stated is None else PartsOfSet(stated.parts, stated.breaking, self.tolerance_px)
 
     @property
     def has_depth(self) -> bool:

@@ -24,8 +24,9 @@ class SplitStatistics:
         is_imported: whether only the sets' sizes can be counted.
         images: how many images were counted.
         shown: how many of them show the marking.
-        parts_shown: of an object of format version 2, how many images show each part that breaks its symmetry, by name.
-        sizes_by_parts: of such an object, `set_sizes` by which of these parts an image shows: their names, in order.
+        parts_shown: of an object of format version 2, how many images show each of its parts, by name, in order.
+        breaking: of such an object, the names of the parts that break its symmetry.
+        sizes_by_parts: of such an object, `set_sizes` by which of its parts an image shows: their names, in order.
         set_sizes: |S|: how many images have a set of this size.
         candidates_drawn: of how many candidates the marking's area was needed.
         candidates_within_tolerance: of how many of these it was below the tolerance but not 0.
@@ -37,10 +38,26 @@ class SplitStatistics:
     images: int = 0
     shown: int = 0
     parts_shown: Counter[str] = field(default_factory=Counter)
+    breaking: tuple[str, ...] = ()
     sizes_by_parts: dict[tuple[str, ...], Counter[int]] = field(default_factory=dict)
     set_sizes: Counter[int] = field(default_factory=Counter)
     candidates_drawn: int = 0
     candidates_within_tolerance: int = 0
+
+    @property
+    def telling(self) -> tuple[str, ...]:
+        """The names of the parts that not all images show alike, or that break the symmetry: what tells sets apart."""
+        shown = self.parts_shown.items()
+        return tuple(name for name, count in shown if name in self.breaking or 0 < count < self.images)
+
+    @property
+    def sizes_by_telling_parts(self) -> dict[tuple[str, ...], Counter[int]]:
+        """`sizes_by_parts`, but by those of the parts that tell sets apart."""
+        found: dict[tuple[str, ...], Counter[int]] = {}
+        for names, sizes in self.sizes_by_parts.items():
+            key = tuple(name for name in names if name in self.telling)
+            found[key] = found.get(key, Counter()) + sizes
+        return found
 
 
 def split_statistics(folder: Path, manifest: Manifest, split: str) -> SplitStatistics:
@@ -69,8 +86,9 @@ def _count_parts(statistics: SplitStatistics, shard: Shard, labels: ShardLabels)
     """Count which parts the images of a shard show, and the sizes of their sets by that."""
     if shard.equality is None or labels.part_pixels is None:
         return
-    names = [shard.equality.parts[part - BODY] for part in shard.equality.breaking]
-    shows = labels.part_pixels[:, [part - BODY for part in shard.equality.breaking]] >= shard.tolerance_px
+    names = shard.equality.parts
+    statistics.breaking = tuple(names[part - BODY] for part in shard.equality.breaking)
+    shows = labels.part_pixels >= (shard.tolerance_px if statistics.breaking else np.finfo(np.float32).tiny)
     for name, count in zip(names, shows.sum(axis=0).tolist(), strict=True):
         statistics.parts_shown[name] += count
     if labels.symmetry_mask is None:

@@ -10,7 +10,8 @@ from numpy_renderer import NumpyRenderer
 from oracle import cast_samples
 
 from symsol_annot.annotation.annotator import Annotator
-from symsol_annot.annotation.visibility import MarkingVisibility, visibility_of
+from symsol_annot.annotation.deciding import visibility_of
+from symsol_annot.annotation.visibility import MarkingVisibility
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.mesh import face_planes, is_convex
 from symsol_annot.objects.spec import load_object

@@ -134,6 +134,12 @@ def test_an_object_of_ones_own_is_rendered_and_audited_by_its_path(mug, tmp_path
         ("cyl", 720, 720, "-"),
         ("tetX", 12, 3, "5"),
         ("cylO", 720, 1, "0.125"),
+        ("mug", 360, 1, "0.125"),
+        ("nut", 12, 12, "-"),
+        ("screw", 360, 6, "0.125"),
+        ("dots", 720, 1, "0.125"),
+        ("die", 24, 1, "0.125"),
+        ("box", 8, 1, "0.125"),
     ],
 )
 def test_objects_lists_each_object_with_its_groups(listed_objects, name, candidates, stabiliser, tolerance):

@@ -141,8 +141,8 @@ def test_info_says_which_parts_show_and_how_large_sets_are_by_that(folder):
     shown = int(load(folder, "test").labels().marking_visible.sum())
     assert "segmentation into body, handle" in out
     assert f"  handle shows in {shown} of {IMAGES}" in out
-    assert "where handle shows: " in out
-    assert "where none of the parts shows: " in out
+    assert "with handle in view: " in out
+    assert "with none of these parts in view: " in out
 
 
 def test_a_contact_sheet_has_a_colour_for_every_part(folder, tmp_path):

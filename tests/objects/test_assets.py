@@ -5,11 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from asset_geometry import GROUPS
+from asset_geometry import GROUPS, PARTED_GROUPS
 from symsol_annot_assets import build
+from symsol_annot_assets.meshes import triangulate
+
+from symsol_annot.objects.spec import PUBLISHED_NAMES
 
 ASSETS = Path(build.__file__).parent
-FILES = [f"{name}/{file}" for name in GROUPS for file in ("object.toml", "mesh.obj")]
+NAMES = {*GROUPS, *PARTED_GROUPS}
+FILES = [f"{name}/{file}" for name in sorted(NAMES) for file in ("object.toml", "mesh.obj")]
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +27,7 @@ def run_build(monkeypatch, built):
     """Run the script's command line; what it builds is built once a module, since that takes seconds."""
 
     def run(*arguments):
-        texts = {name: {file: built[f"{name}/{file}"] for file in ("object.toml", "mesh.obj")} for name in GROUPS}
+        texts = {name: {file: built[f"{name}/{file}"] for file in ("object.toml", "mesh.obj")} for name in NAMES}
         monkeypatch.setattr(build, "files_of", texts.__getitem__)
         monkeypatch.setattr("sys.argv", ["build", *map(str, arguments)])
         return build.main()
@@ -35,8 +39,9 @@ def run_build(monkeypatch, built):
 
 
 def test_the_committed_folders_are_those_of_the_script():
-    assert {path.parent.name for path in ASSETS.glob("*/*.*") if path.suffix in (".toml", ".obj")} == set(GROUPS)
-    assert set(build.OBJECTS) == set(GROUPS)
+    assert {path.parent.name for path in ASSETS.glob("*/*.*") if path.suffix in (".toml", ".obj")} == NAMES
+    assert set(build.OBJECTS) == NAMES
+    assert set(build.PUBLISHED) == set(PUBLISHED_NAMES) == set(GROUPS)
 
 
 @pytest.mark.parametrize("file", FILES)
@@ -67,7 +72,7 @@ def end_lines_as_windows_does(path):
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
 
 
-@pytest.mark.parametrize("file", ["tet/mesh.obj", "cylO/mesh.obj", "tetX/object.toml"])
+@pytest.mark.parametrize("file", ["tet/mesh.obj", "screw/mesh.obj", "tetX/object.toml"])
 @pytest.mark.parametrize("tamper", [change_a_digit, end_lines_as_windows_does, Path.unlink])
 def test_the_check_names_a_tampered_file_and_no_other_and_mends_nothing(run_build, tmp_path, capsys, file, tamper):
     copy = Path(shutil.copytree(ASSETS, tmp_path / "copy", ignore=shutil.ignore_patterns("__pycache__")))
@@ -92,7 +97,7 @@ def test_the_triangles_of_a_polygon_cover_it_once(seed, count):
     rng = np.random.default_rng(seed)
     turns = (np.arange(count) + rng.uniform(0, 0.8, count)) * 2 * np.pi / count
     star = rng.uniform(0.4, 1, count)[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)
-    triangles = build.triangulate(star)
+    triangles = triangulate(star)
     assert len(triangles) == count - 2
     assert min(shoelace(triangle) for triangle in triangles) > 0
     assert sum(shoelace(triangle) for triangle in triangles) == pytest.approx(shoelace(star))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from asset_geometry import GROUPS, PARTED_GROUPS
 from object_folders import (
     ASSETS,
     BUILTIN,
@@ -23,7 +24,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from symsol_annot.errors import ObjectError, SymsolError, UnknownObjectError
-from symsol_annot.objects.spec import builtin_names, load_object, read_object
+from symsol_annot.objects.spec import PUBLISHED_NAMES, builtin_names, load_object, read_object
 from symsol_annot.rotations.groups import GROUP_KINDS, GroupKind, cyclic_group
 
 
@@ -36,13 +37,10 @@ def test_builtin_objects_are_these():
     assert builtin_names() == BUILTIN
 
 
-GROUPS = {"tet": "T", "tetX": "T", "cube": "O", "icosa": "I", "cone": "C360", "cyl": "D360", "cylO": "D360"}
-
-
 @every_builtin
 def test_a_builtin_object_has_its_bodys_group(name):
     group = load_object(name).symmetry_group
-    assert same_set(group, Rotation.create_group(GROUPS[name], axis="Z").as_matrix())
+    assert same_set(group, Rotation.create_group((GROUPS | PARTED_GROUPS)[name], axis="Z").as_matrix())
     np.testing.assert_array_equal(group[0], np.eye(3))
 
 
@@ -106,9 +104,9 @@ def test_an_unknown_object_is_an_object_error():
 def test_a_renamed_copy_of_a_builtin_folder_is_an_object_like_any_other(name, tmp_path):
     folder = Path(shutil.copytree(ASSETS / name, tmp_path / "my object"))
     toml = folder / "object.toml"
-    toml.write_text(edited(toml.read_text(encoding="utf-8"), f'name = "{name}"', 'name = "mug"')[0], encoding="utf-8")
+    toml.write_text(edited(toml.read_text(encoding="utf-8"), f'name = "{name}"', 'name = "mine"')[0], encoding="utf-8")
     copy, original = load_object(str(folder)), load_object(name)
-    assert (copy.name, copy.title, copy.folder) == ("mug", original.title, folder)
+    assert (copy.name, copy.title, copy.folder) == ("mine", original.title, folder)
     assert copy.digest != original.digest
     np.testing.assert_array_equal(copy.mesh.vertices, original.mesh.vertices)
     np.testing.assert_array_equal(copy.mesh.triangles, original.mesh.triangles)
@@ -188,8 +186,8 @@ tetX f5003003052ddf74d4ef05e135804705eaeaad9456e7d039590f288c6f131069
 )
 
 
-@every_builtin
-def test_a_builtin_objects_digest_is_that_of_the_published_sets(name):
+@pytest.mark.parametrize("name", PUBLISHED_NAMES)
+def test_a_published_objects_digest_is_that_of_the_published_sets(name):
     assert load_object(name).digest == DIGESTS[name]
 
 

@@ -16,6 +16,7 @@ from symsol_annot.plotting import contact_sheet as plots
 from symsol_annot.plotting.canvas import label_text, new_figure, write_figure
 from symsol_annot.plotting.contact_sheet import contact_sheet
 from symsol_annot.sets.dataset import Sample
+from symsol_annot.sets.equality import PartsOfSet
 
 
 def pixels_of(path):
@@ -79,6 +80,31 @@ def test_a_caption_says_how_much_of_the_marking_shows(tetX_set, monkeypatch, pix
     titles = [[axes.get_title() for axes in figure.axes] for figure in drawn]
     size = f"{len(sample.symmetry_set)} rotations"
     assert titles == [["image 3", caption, size], ["image 3", "segmentation", size]]
+
+
+FACES = ("bottom", "top", "front", "back", "left", "right")
+
+
+@pytest.mark.parametrize(
+    ("parts", "areas_px", "caption"),
+    [
+        (PartsOfSet(("body", "handle"), (2,), 0.125), [90, 12.25], "handle: 12.25 px"),
+        (PartsOfSet(("body", "handle"), (2,), 0.125), [90, 0], "handle: out of sight"),
+        (PartsOfSet(("body", "handle"), (2,), 5.0), [90, 0.25], "handle: 0.25 px"),
+        (PartsOfSet(FACES, (2, 3, 4, 5, 6), 0.125), [3, 0, 4, 0, 0.1, 5], "in view: bottom, front, right"),
+        (PartsOfSet(FACES, (2, 3, 4, 5, 6), 0.125), [3, 1, 4, 1, 0, 5], "5 of 6 parts in view"),
+        (PartsOfSet(("body",), (), None), [90], "segmentation"),
+    ],
+)
+def test_parts_are_named_by_what_an_image_shows_and_in_a_legend(tetX_set, monkeypatch, parts, areas_px, caption):
+    sample, drawn = replace(load(tetX_set)[3], part_pixels=np.array(areas_px, np.float32)), []
+    monkeypatch.setattr(plots, "write_figure", lambda figure, _: drawn.append(figure))
+    contact_sheet([sample], Path("sheet.png"), parts=parts)
+    assert drawn[0].axes[1].get_title() == caption
+    (legend,) = drawn[0].legends
+    assert [text.get_text() for text in legend.get_texts()] == list(parts.names)
+    colours = [tuple(round(255 * part) for part in patch.get_facecolor()[:3]) for patch in legend.get_patches()]
+    assert colours == [tuple(colour) for colour in plots.ID_COLOURS[1 : len(parts.names) + 1].tolist()]
 
 
 def test_a_sample_without_a_set_has_no_ball(tetX_set, tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from oracle import DISC_Z, boundary, cast, cast_samples
 
-from symsol_annot.objects.spec import builtin_names, load_object
+from symsol_annot.objects.spec import PUBLISHED_NAMES, load_object
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
 from symsol_annot.rendering.settings import RenderSettings
@@ -41,7 +41,7 @@ def anywhere_in_pixels(samples):
     return np.any(shifted, axis=0)
 
 
-@pytest.mark.parametrize("name", builtin_names())
+@pytest.mark.parametrize("name", PUBLISHED_NAMES)
 def test_segmentation_is_the_ray_casters_but_for_boundary_pixels(name):
     with open_renderer(name) as renderer:
         for R in rotations(4, seed=11):

@@ -9,7 +9,7 @@ import pytest
 from oracle import CYLINDER_RADIUS, boundary
 
 from symsol_annot.errors import RenderError, SettingsError
-from symsol_annot.objects.spec import builtin_names, load_object
+from symsol_annot.objects.spec import PUBLISHED_NAMES, load_object
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import ENGINES
 from symsol_annot.rendering.render_process import RenderProcess
@@ -67,7 +67,7 @@ def integer_ids(name, R, size):
     return ids, (hits > 1) & (parts.sum(axis=-1) > 1)
 
 
-@pytest.mark.parametrize("name", builtin_names())
+@pytest.mark.parametrize("name", PUBLISHED_NAMES)
 def test_the_points_of_each_part_are_those_of_integer_arithmetic(name):
     size = 224
     with open_renderer(name, size) as renderer:

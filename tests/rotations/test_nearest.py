@@ -148,7 +148,7 @@ def test_the_size_of_the_steps_changes_nothing(monkeypatch):
 def test_circles_of_a_built_in_object_part_its_group_or_there_are_none(name):
     group = load_object(name).symmetry_group
     circles = find_circles(group)
-    if name not in ("cone", "cyl", "cylO"):
+    if name not in ("cone", "cyl", "cylO", "dots", "mug", "screw"):
         assert circles is None
         return
     assert circles.index.shape == (len(group) // 360, 360)

@@ -35,8 +35,19 @@ SYMSOL.detail = (() => {
 
   function markingOf(id) {
     const stratum = model.table.stratum[id];
-    if (stratum === NO_MARKING) return WORDS[stratum];
-    return `marking ${WORDS[stratum]}, ${pixels(model.table.pixels[id])}`;
+    const set = model.index.sets[model.table.set[id]];
+    if (stratum === NO_MARKING) return set.breaking.length || !set.in_view ? WORDS[stratum] : "no part breaks the symmetry";
+    if (set.breaking.length > 1) return `in view: ${SYMSOL.selection.partsInView(set, model.table.row[id]).join(", ")}`;
+    return `${breakingName(set)} ${WORDS[stratum]}, ${pixels(model.table.pixels[id])}`;
+  }
+
+  // What breaks the symmetry, in a word: the part's name where it has one.
+  function breakingName(set) {
+    return set.breaking.length === 1 ? set.parts[set.breaking[0]] : "marking";
+  }
+
+  function plainMarkingOf(id) {
+    return model.table.stratum[id] === NO_MARKING ? "none" : markingOf(id).replace("marking ", "");
   }
 
   // What a chunk of labels says of one image: its own quaternion, its members, and their numbers in the group.
@@ -109,9 +120,11 @@ SYMSOL.detail = (() => {
     byId("segmentation-caption").textContent = `Segmentation, ${markingOf(id)}`;
     if (isPlain) return;
     set.parts.forEach((name, number) => {
-      const legend = make("span", ` \u25a0 ${name}`);
-      legend.style.color = set.part_colours[number];
-      byId("segmentation-caption").append(legend);
+      const legend = make("span", ""), square = make("span", "\u25a0");
+      square.style.color = set.part_colours[number];
+      legend.className = "part";
+      legend.append(square, ` ${name}`);
+      byId("segmentation-caption").append(" ", legend);
     });
   }
 
@@ -121,7 +134,7 @@ SYMSOL.detail = (() => {
     const R = matrix(scene.own).map((line) => line.map((v) => v.toFixed(4).padStart(7)).join(" ")).join("\n");
     const facts = [
       ["Symmetry set", make("span", `${size} of ${set.group_order} rotations (${share}%)`)],
-      ["Marking", make("span", model.table.stratum[id] === NO_MARKING ? "none" : markingOf(id).replace("marking ", ""))],
+      [set.in_view ? "Parts" : "Marking", make("span", set.in_view ? markingOf(id) : plainMarkingOf(id))],
       ["In Python", make("code", `symsol_annot.load(${JSON.stringify(set.place)}, "${set.split}")[${row}]`)],
       ["R_m2c", make("pre", R)],
     ];

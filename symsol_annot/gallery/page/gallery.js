@@ -37,7 +37,12 @@
     document.title = `${objects.join(", ")} · symsol-annot gallery`;
     options("object", [["", "all"], ...objects.map((name) => [name, name])]);
     options("split", [["", "all"], ...splits.map((name) => [name, name])]);
-    options("marking", [["", "any"], ["shown", "shown"], ["barely", "barely shown"], ["hidden", "hidden"], ["none", "no marking"]]);
+    const parts = distinct(index.sets.flatMap((set) => set.breaking.map((part) => set.parts[part])));
+    if (parts.length) byId("marking-name").textContent = "Marking or part";
+    options("marking", [
+      ["", "any"], ["shown", "shown"], ["barely", "barely shown"], ["hidden", "hidden"], ["none", "no marking"],
+      ...parts.flatMap((name) => [[`seen:${name}`, `${name} in view`], [`unseen:${name}`, `${name} out of sight`]]),
+    ]);
     options("run", [["", "none"], ...[...runs.values()].map((one) => [one.key, one.label])]);
     byId("run-field").hidden = runs.size === 0;
     byId("run").value = runs.size ? [...runs.keys()][0] : "";

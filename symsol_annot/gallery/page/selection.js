@@ -12,6 +12,12 @@ SYMSOL.selection = (() => {
   };
   const WORDS = ["no marking", "hidden", "shown", "barely shown"];
 
+  // The names of the parts that one image of a set shows.
+  function partsInView(set, row) {
+    set.views = set.views || SYMSOL.store.unpacked(set.in_view);
+    return set.parts.filter((name, part) => set.views[row * set.parts.length + part]);
+  }
+
   // The columns: for each image its set, its row there, and what it is filtered and sorted by.
   function columns(index) {
     const { unpacked } = SYMSOL.store;
@@ -61,13 +67,21 @@ SYMSOL.selection = (() => {
   function matches(word, index, table, id) {
     if (/^\d+$/.test(word)) return table.row[id] === Number(word);
     const set = index.sets[table.set[id]];
-    return `${set.object} ${set.split} ${WORDS[table.stratum[id]]}`.toLowerCase().includes(word);
+    const parts = set.in_view ? partsInView(set, table.row[id]).join(" ") : "";
+    return `${set.object} ${set.split} ${WORDS[table.stratum[id]]} ${parts}`.toLowerCase().includes(word);
+  }
+
+  // Whether an image is of those that show, hide or have something: a word of MARKINGS, or "seen:part" and "unseen:part".
+  function shows(index, table, id, wanted) {
+    const [how, part] = wanted.split(":");
+    if (part === undefined) return MARKINGS[wanted](table.stratum[id]);
+    const set = index.sets[table.set[id]];
+    return set.parts.includes(part) && partsInView(set, table.row[id]).includes(part) === (how === "seen");
   }
 
   // The images of a query, in its order: an array of their numbers.
   function select(index, table, query, run) {
     const words = query.find.toLowerCase().split(/\s+/).filter(Boolean);
-    const isMarked = MARKINGS[query.marking];
     const least = query.least === "" ? 0 : Number(query.least);
     const most = query.most === "" ? Infinity : Number(query.most);
     const found = [];
@@ -75,7 +89,7 @@ SYMSOL.selection = (() => {
       const set = index.sets[table.set[id]];
       if (query.object && set.object !== query.object) continue;
       if (query.split && set.split !== query.split) continue;
-      if (!isMarked(table.stratum[id])) continue;
+      if (!shows(index, table, id, query.marking)) continue;
       if (table.size[id] < least || table.size[id] > most) continue;
       if (query.redrawn && !table.isRedrawn[id]) continue;
       if (!words.every((word) => matches(word, index, table, id))) continue;
@@ -102,5 +116,5 @@ SYMSOL.selection = (() => {
     return (id) => sign * metric.values[id];
   }
 
-  return { columns, runs, select, WORDS, NO_MARKING, SHOWN, BARELY };
+  return { columns, runs, select, partsInView, WORDS, NO_MARKING, SHOWN, BARELY };
 })();

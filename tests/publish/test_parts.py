@@ -1,0 +1,46 @@
+"""A set of an object with parts, published: the parts by name, and the rule by which they are compared."""
+
+import json
+from functools import partial
+
+import pytest
+from made_sets import make_set, threads
+from mesh_renderer import MeshRenderer
+
+from symsol_annot.generation.generate import generate
+from symsol_annot.objects.spec import load_object
+from symsol_annot.publish.about import About
+from symsol_annot.publish.publication import publish
+from symsol_annot.publish.sets import sets_in
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.sets.plan import SetPlan
+
+IDS = "1 bottom, 2 top, 3 front, 4 back, 5 left, 6 right"
+
+
+@pytest.fixture(scope="module")
+def parted(tmp_path_factory):
+    """A bundle of the box, which has parts, beside a tetrahedron, which has a marking."""
+    folder = tmp_path_factory.mktemp("parted")
+    plan = SetPlan(load_object("box"), {"test": 6}, 0, Camera.filling(16), RenderSettings(), "test")
+    generate(plan, folder / "data" / "box", threads(partial(MeshRenderer, plan.spec, plan.camera)))
+    make_set(folder / "data", "tetX", test=3, size=16)
+    publish(sets_in(folder / "data"), folder / "bundle", About())
+    return folder / "bundle"
+
+
+def test_the_card_names_parts_and_their_rule_beside_the_marking(parted):
+    card = (parted / "README.md").read_text()
+    assert f"grey PNG: 0 background, 1 body, 2 marking; of box {IDS}, exact" in card
+    assert "\n- Of box, images are compared part by part instead" in card
+    assert "These parts are, of box: top, front, back, left, right." in card
+
+
+def test_croissant_describes_each_sets_ids_by_its_own_parts(parted):
+    records = {record["name"]: record for record in json.loads((parted / "croissant.json").read_text())["recordSet"]}
+    described = {field["name"]: field["description"] for record in records.values() for field in record["field"]}
+    assert described["box_test/segmentation"] == f"Grey PNG of ids: 0 background, {IDS}."
+    assert described["tetX_test/segmentation"] == "Grey PNG of ids: 0 background, 1 body, 2 marking."
+    assert "that break the symmetry" in described["box_test/marking_pixels"]
+    assert "The marking's visible area" in described["tetX_test/marking_pixels"]
