@@ -47,7 +47,7 @@ def label_text(name: str) -> str:
     return f" {escaped}" if escaped.startswith("_") else escaped
 
 
-def legend_mark(label: str, color: str = "0.35", marker: str = "", line: str = "", **style: Any) -> Any:
+def legend_mark(label: str, color: str = "0.35", marker: str = "", line: Any = "", **style: Any) -> Any:
     """Return a mark, or a piece of line, that stands in a legend beside its label."""
     from matplotlib.lines import Line2D
 
