@@ -48,6 +48,11 @@ _DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while
     show_default=True,
     help="How far a symmetry may carry a point from the surface, as a part of the mesh's radius.",
 )
+@click.option(
+    "--round-within",
+    type=click.FloatRange(0, 0.018),
+    help="Take facets for round where they are no farther from it than this part of the radius.",
+)
 @click.option("--id", "number", type=click.IntRange(0), help="Number of the model, in a folder of BOP's models.")
 @click.option("--ignore-bop", is_flag=True, help="Take the symmetries of the mesh, whatever models_info.json states.")
 def import_object(
@@ -57,6 +62,7 @@ def import_object(
     parts: str,
     body: str | None,
     tolerance: float,
+    round_within: float | None,
     number: int | None,
     *,
     ignore_bop: bool,
@@ -79,7 +85,7 @@ def import_object(
         path, bop = bop_model(path, number)
     elif number is not None:
         raise click.UsageError("--id is for a folder of BOP's models, and FILE is none")
-    options = ImportOptions(parts, body, tolerance)
+    options = ImportOptions(parts, body, tolerance, round_within)
     say("\n".join(write_import(path, folder, name, options, None if ignore_bop else bop)))
     say(f"Next:\n  symsol-annot render --object {quote(str(folder))} --train 0 --test 100")
 
@@ -136,12 +142,11 @@ def import_in_words(imported: "ImportedObject", spec: ObjectSpec) -> list[str]:
     """Return the lines that say what was made of a mesh file."""
     from symsol_annot.objects.finding.report import report_lines  # noqa: PLC0415 - takes scipy
 
-    lines = [line for line in report_lines(imported.found) if not line.startswith("round ")]  # its option is another's
-    nearly = imported.found.roundness
-    if nearly is not None and not imported.found.shape.group.is_continuous:
+    lines = [line for line in report_lines(imported.found) if not line.startswith("larger ")]
+    if not imported.draft.of_body:
+        one = imported.found.larger[0]
         lines.append(
-            f"facets       as it is the body has {imported.found.shape.group.name}; it is {nearly.group.name} within "
-            f"{nearly.deviation:.2g}: exported with 360 facets about its axis, it has 360 steps"
+            f"without      {one.what} it has {one.group.name}: that is declared, and whole images are compared"
         )
     for number, part in enumerate(spec.parts, start=1):
         kept = ", breaks the symmetry" if number in spec.mesh.breaking and spec.marking is not None else ""

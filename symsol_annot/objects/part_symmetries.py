@@ -6,16 +6,21 @@ centroid and its second moments refute most, products of certified rotations are
 all that differ from it by a certified one.
 """
 
+from collections.abc import Callable
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.surface import SURFACE_TOLERANCE, Points, surface_offsets, surface_points
+from symsol_annot.objects.surface import SURFACE_TOLERANCE, Points, distance_to_triangles, surface_points
 from symsol_annot.rotations.groups import nearest_element
 from symsol_annot.rotations.so3 import Rotations, angle_between
 
 Flags = npt.NDArray[np.bool_]
 
 _SAME = 1e-6  # of two elements' matrices
+_FEW = 12  # points that are tried first
+_FEW_DISTANCES = 20_000  # are measured one by one; for more, a tree pays
 _MOMENT_SLACK = 1e-4  # of centroids and second moments, beyond what the surface's tolerance can move them by
 
 
@@ -24,12 +29,12 @@ def stabiliser_of_part(triangles: Points, group: Rotations) -> Flags:
     certified = np.zeros(len(group), dtype=bool)
     certified[0] = True
     is_open = _moments_fit(triangles, triangles, group)
-    points = _points_of(triangles)
+    points, onto = _points_of(triangles), _Onto(triangles)
     generators: list[int] = []
     for element in np.argsort(angle_between(group, np.eye(3)), kind="stable").tolist():
         if not is_open[element] or certified[element]:
             continue
-        if _lands(points, triangles, group[element]):
+        if onto.has_all(points @ group[element].T):
             generators.append(element)
             certified = _generated(group, certified, generators)
         else:
@@ -41,9 +46,9 @@ def stabiliser_of_part(triangles: Points, group: Rotations) -> Flags:
 def carried_onto(triangles: Points, others: Points, group: Rotations) -> Flags:
     """Tell which rotations of a group (G, 3, 3) carry triangles (T, 3, 3) onto other ones (U, 3, 3): (G,)."""
     fits = _moments_fit(triangles, others, group)
-    points = _points_of(triangles)
+    points, onto = _points_of(triangles), _Onto(others)
     for element in np.flatnonzero(fits).tolist():
-        fits[element] = _lands(points, others, group[element])
+        fits[element] = onto.has_all(points @ group[element].T)
     return fits
 
 
@@ -52,8 +57,25 @@ def _points_of(triangles: Points) -> Points:
     return np.concatenate([surface_points(triangles), np.unique(triangles.reshape(-1, 3), axis=0)])
 
 
-def _lands(points: Points, triangles: Points, R: Rotations) -> bool:
-    return bool(surface_offsets(points, triangles, R[None])[0] <= SURFACE_TOLERANCE)
+class _Onto:
+    """Triangles (T, 3, 3) that points are to be on."""
+
+    def __init__(self, triangles: Points) -> None:
+        self._triangles = triangles
+
+    @cached_property
+    def _distance(self) -> Callable[..., Points]:
+        from symsol_annot.objects.finding.distances import SurfaceDistance  # noqa: PLC0415 - scipy is slow to load
+
+        return SurfaceDistance(self._triangles)
+
+    def has_all(self, points: Points) -> bool:
+        """Tell whether points (n, 3) are on the triangles, within the tolerance; of most that are not, a few tell."""
+        if distance_to_triangles(points[:_FEW], self._triangles).max() > SURFACE_TOLERANCE:
+            return False
+        if len(points) * len(self._triangles) <= _FEW_DISTANCES:
+            return bool(distance_to_triangles(points[_FEW:], self._triangles).max(initial=0.0) <= SURFACE_TOLERANCE)
+        return bool(self._distance(points[_FEW:], SURFACE_TOLERANCE).max(initial=0.0) <= SURFACE_TOLERANCE)
 
 
 def _generated(group: Rotations, certified: Flags, generators: list[int]) -> Flags:

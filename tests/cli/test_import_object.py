@@ -36,7 +36,7 @@ def test_it_says_what_it_found_and_did_and_what_comes_next(call, tmp_path):
     assert done.exit_code == 0, done.output
     for line in (
         "group        C36, 36 rotations",
-        "facets       as it is the body has C36; it is circle within 0.00",
+        "round        circle within 0.0",
         "part 2       component-2: 384 triangles, breaks the symmetry",
         "symmetries   1 of 36 rotations leave all parts in place",
         "mended       components were made parts",

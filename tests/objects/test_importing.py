@@ -163,6 +163,25 @@ def test_a_mug_of_two_shells_without_names_gets_its_handle_as_a_part(imported):
     assert any("components were made parts" in note for note in made.notes)
 
 
+@pytest.mark.parametrize(
+    ("solid", "rotations", "kept"),
+    [(mug(), 36, 1), (SOLIDS["screw of 64 facets with a socket"][0], 360, 2)],
+    ids=["mug", "screw"],
+)
+def test_a_body_with_a_larger_group_without_some_faces_is_compared_as_a_whole(imported, solid, rotations, kept):
+    spec, made = imported(mesh_bytes(moved(solid), "stl"), parts="none")
+    assert not made.draft.of_body
+    assert (len(spec.symmetry_group), len(spec.stabiliser)) == (rotations, kept)
+
+
+def test_facets_are_round_within_what_the_user_says(imported):
+    data = mesh_bytes(moved(SOLIDS["can 64"][0]), "stl")
+    assert len(imported(data)[0].symmetry_group) == 128
+    spec, made = imported(data, round_within=0.002)
+    assert len(spec.symmetry_group) == 720
+    assert made.found.roundness.deviation < spec.max_offset < 0.002
+
+
 def test_components_that_look_alike_are_one_part(imported):
     bar, leg = box(2.0, 2.0, 0.3), box(0.2, 0.2, 1.0)
     legs = [(leg[0] + [x, y, -0.9], leg[1]) for x in (0.1, 1.7) for y in (0.1, 1.7)]

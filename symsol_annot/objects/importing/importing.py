@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.find import DEFAULT_TOLERANCE
-from symsol_annot.objects.finding.found import Group, Symmetries
+from symsol_annot.objects.finding.found import ALL_ROTATIONS, CertifiedGroup, Group, Symmetries
 from symsol_annot.objects.finding.surface import make_surface
 from symsol_annot.objects.finding.symmetries import find_symmetries
 from symsol_annot.objects.importing.object_writing import ObjectDraft
@@ -36,11 +36,13 @@ class ImportOptions:
         parts: what tells the parts, one of PARTS_CHOICES.
         body: the name of the part that is the body; None for the largest.
         tolerance: how far a symmetry may carry a point from the surface, in radii.
+        round_within: how far from round a body of facets may be, in radii, to count as round; None: as it is.
     """
 
     parts: str = "auto"
     body: str | None = None
     tolerance: float = DEFAULT_TOLERANCE
+    round_within: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,21 @@ class ImportedObject:
     scale: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Claim:
+    """What an object declares of its symmetry.
+
+    Attributes:
+        shape: the group, its fixed point and its frame in the file.
+        of_body: whether the body has it by itself.
+        max_offset: how far the group may carry the body off itself, in radii; 0 where it is exact.
+    """
+
+    shape: CertifiedGroup
+    of_body: bool
+    max_offset: float
+
+
 def import_mesh(path: Path, name: str, options: ImportOptions) -> ImportedObject:
     """Return the object that a mesh file describes.
 
@@ -73,8 +90,7 @@ def import_mesh(path: Path, name: str, options: ImportOptions) -> ImportedObject
         options: what the user says about it.
 
     Raises:
-        ObjectError: it is no closed mesh of one object, what tells its parts does not, or its body has a larger group
-            without some of its faces; the message says what to do.
+        ObjectError: it is no closed mesh of one object, or what tells its parts does not; the message says what to do.
         MissingExtraError: trimesh is not installed, and the file is no OBJ.
     """
     file, data = read_mesh_file(path, MAX_TRIANGLES)
@@ -93,26 +109,24 @@ def _imported(
     soup = mend(Soup(file.vertices, file.triangles, parting.part_of))
     shell_of = sort_out(soup, closed_shells(soup))
     parts = _parts_left(soup, shell_of, parting)
-    body = body_index(parts.names, _areas(soup, parts), options.body, path)
-    is_body, found = _body_symmetries(soup, shell_of, parts, body, options.tolerance)
+    body, is_body, found = _body(soup, shell_of, parts, options, path)
     if _lacks_components(found, shell_of[is_body]) and options.parts == "auto" and parts.by == "none":
         parts = _parts_left(soup, shell_of, replace(parting, by="component"))
         soup.notes.append(f"components were made parts, since without {found.larger[0].what} more rotations fit")
-        body = body_index(parts.names, _areas(soup, parts), options.body, path)
-        is_body, found = _body_symmetries(soup, shell_of, parts, body, options.tolerance)
-    _refuse_larger(found, shell_of[is_body])
+        body, is_body, found = _body(soup, shell_of, parts, options, path)
+    claim = _claim(found)
     soup = used_vertices(soup)
     is_of_body = np.zeros(len(soup.vertices), dtype=bool)
     is_of_body[soup.triangles[is_body]] = True
-    place = placed(soup.vertices, is_of_body, found.shape, options.tolerance)
+    place = placed(soup.vertices, is_of_body, claim.shape, options.tolerance)
     notes = list(soup.notes)
     if place.moved:
-        name_of_group = found.shape.group.name
-        notes.append(f"vertices were moved by up to {place.moved:.2g} of the radius, so that {name_of_group} is exact")
+        notes.append(
+            f"vertices were moved by up to {place.moved:.2g} of the radius, so that {claim.shape.group.name} is exact"
+        )
     if parts.by in {"component", "node"} and parts.colours is None:
-        parts = _alike_joined(place.vertices[soup.triangles], parts, body, found, notes)
+        parts = _alike_joined(place.vertices[soup.triangles], parts, body, claim.shape.group, notes)
     parts = _in_order(parts, body, _areas(soup, parts))
-    shape = found.shape
     draft = ObjectDraft(
         name,
         path.name,
@@ -121,22 +135,24 @@ def _imported(
         parts.part_of,
         parts.names,
         parts.colours,
-        Group(shape.group.kind, shape.group.order, np.eye(3)),
+        claim.of_body,
+        claim.shape.group,
+        claim.max_offset,
         {
             "source": path.name,
             "source_sha256": sha256,
             "file_units_per_unit": place.scale,
-            "origin_in_file": shape.centre.tolist(),
-            "axes_in_file": shape.group.frame.T.reshape(-1).tolist(),
+            "origin_in_file": claim.shape.centre.tolist(),
+            "axes_in_file": claim.shape.group.frame.T.reshape(-1).tolist(),
             "parts_by": parts.by,
             "repairs": notes,
-            "group_found": shape.group.name,
-            "residual": shape.residual,
+            "group_found": found.shape.group.name,
+            "residual": found.shape.residual,
             "tolerance": options.tolerance,
             "not_looked_for": list(found.not_looked_for),
         },
     )
-    return ImportedObject(draft, found, tuple(notes), shape.centre, shape.group.frame, place.scale)
+    return ImportedObject(draft, found, tuple(notes), claim.shape.centre, claim.shape.group.frame, place.scale)
 
 
 def _parts_left(soup: Soup, shell_of: Indices, parting: Parting) -> Parting:
@@ -156,14 +172,15 @@ def _parts_left(soup: Soup, shell_of: Indices, parting: Parting) -> Parting:
     return Parting(np.argsort(order)[shell_of], names, None, "component")
 
 
-def _body_symmetries(
-    soup: Soup, shell_of: Indices, parts: Parting, body: int, tolerance: float
-) -> tuple[Flags, Symmetries]:
-    """Return which triangles (T,) are on the closed surfaces that the body is a part of, and their symmetries."""
+def _body(
+    soup: Soup, shell_of: Indices, parts: Parting, options: ImportOptions, path: Path
+) -> tuple[int, Flags, Symmetries]:
+    """Return the body's part, which triangles (T,) are on the closed surfaces that it is a part of, and their group."""
+    body = body_index(parts.names, _areas(soup, parts), options.body, path)
     is_body = np.isin(shell_of, np.unique(shell_of[parts.part_of == body]))  # with what is painted on it
     triangles = soup.triangles[is_body]
     surface = make_surface(soup.vertices, triangles, np.zeros(len(triangles), dtype=np.intp), (WHOLE,))
-    return is_body, find_symmetries(surface, tolerance)
+    return body, is_body, find_symmetries(surface, options.tolerance, round_within=options.round_within)
 
 
 def _lacks_components(found: Symmetries, shell_of: Indices) -> bool:
@@ -175,29 +192,34 @@ def _lacks_components(found: Symmetries, shell_of: Indices) -> bool:
     return not bool(np.isin(shell_of[taken], shell_of[~taken]).any())
 
 
-def _refuse_larger(found: Symmetries, shell_of: Indices) -> None:
-    """Refuse a body that has a larger group without some of its faces, which other faces may hide."""
-    if not found.larger:
-        return
-    one = found.larger[0]
-    remedy = (
-        "make its components parts: --parts component"
-        if _lacks_components(found, shell_of)
-        else "make them a closed surface of their own that reaches into the body, like a mug's handle, and a part: by "
-        "another material, or by --parts component"
-    )
-    raise ObjectError(
-        f"the body has the group {found.shape.group.name}, and without {one.what} a larger one, {one.group.name}, "
-        f"which an image has where those are out of sight; {remedy}"
-    )
+def _claim(found: Symmetries) -> _Claim:
+    """Return what an object declares: its body's group, or the larger one of the body without some of its faces.
+
+    The larger one is no group of a part by itself, so images are then compared as a whole. A round body of facets may
+    be carried off itself by as much as it is off round.
+
+    Raises:
+        ObjectError: it is a ball.
+    """
+    if found.larger:
+        one = found.larger[0]
+        group = one.as_it_is if one.as_it_is.contains(found.shape.group) else one.group
+        return _Claim(replace(found.shape, group=group, centre=one.centre, residual=0.0), of_body=False, max_offset=0.0)
+    nearly, shape = found.roundness, found.shape
+    if shape.group.kind == ALL_ROTATIONS:
+        raise ObjectError(
+            "the body is nearly a ball, which any rotation leaves as it is; such objects are not rendered yet"
+        )
+    max_offset = 1.1 * nearly.deviation if nearly is not None and shape.group.is_continuous else 0.0
+    return _Claim(shape, of_body=True, max_offset=max_offset)
 
 
 def _alike_joined(
-    corners: npt.NDArray[np.float64], parts: Parting, body: int, found: Symmetries, notes: list[str]
+    corners: npt.NDArray[np.float64], parts: Parting, body: int, group: Group, notes: list[str]
 ) -> Parting:
     """Return parts of which those that look alike, since a symmetry carries one onto the other, are one."""
-    frame = found.shape.group.frame
-    part_of = alike_joined(corners, parts.part_of, body, frame.T @ found.shape.group.rotations @ frame)
+    frame = group.frame
+    part_of = alike_joined(corners, parts.part_of, body, frame.T @ group.rotations @ frame)
     kept, renumbered = np.unique(part_of, return_inverse=True)
     gone = len(parts.names) - len(kept)
     if gone:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from symsol_annot.errors import OutputError, output_errors
 from symsol_annot.objects.checking.check import check_object
-from symsol_annot.objects.finding.found import Group
+from symsol_annot.objects.finding.found import CIRCLE, CIRCLE_STEPS, CIRCLE_WITH_HALF_TURNS, Group
 from symsol_annot.objects.parts import DEFAULT_TOLERANCE_PX, Colour
 from symsol_annot.objects.spec import ObjectSpec, read_object
 from symsol_annot.system.checksums import changed_in, names_in, read_list, to_list
@@ -23,6 +23,7 @@ from symsol_annot.system.text.toml import MAX_TITLE
 Note: TypeAlias = str | float | int | Sequence[str] | Sequence[float]
 
 LIST_NAME = "files.sha256"
+_EXACT = 1e-6  # of max_offset: what an object has without one
 _MADE_BY = "symsol-annot import-object"
 
 
@@ -38,7 +39,9 @@ class ObjectDraft:
         part_of: (T,) indices of `part_names`.
         part_names: of the parts, the body's first.
         colours: linear RGB of the parts; None for the default ones.
-        group: of the body, its axes those of its kind.
+        of_body: whether the body has the group by itself; else all parts may break it.
+        group: whose axes are those of its kind in the object's frame; a circle is written by steps.
+        max_offset: how far the group may carry the body off itself, in radii; 0 where it is exact.
         provenance: what was done to the mesh.
     """
 
@@ -49,7 +52,9 @@ class ObjectDraft:
     part_of: npt.NDArray[np.intp]
     part_names: tuple[str, ...]
     colours: tuple[Colour, ...] | None
+    of_body: bool
     group: Group
+    max_offset: float
     provenance: Mapping[str, Note]
 
 
@@ -110,12 +115,19 @@ def _toml_text(draft: ObjectDraft) -> str:
         lines += ["", "[[part]]", f"name = {_toml(name)}", f"select = {{ material = {_toml(name)} }}"]
         if draft.colours is not None:
             lines.append(f"colour = {_toml(draft.colours[number])}")
-    lines += ["", "[symmetry]", f"of = [{_toml(draft.part_names[0])}]", f'kind = "{draft.group.kind}"']
-    if draft.group.order is not None:
-        lines.append(f"order = {draft.group.order}")
+    lines += ["", "[symmetry]", f"of = {_toml(draft.part_names[:1] if draft.of_body else ())}", *_group_lines(draft)]
     lines += ["", "[equality]", f"tolerance_px = {DEFAULT_TOLERANCE_PX}", "", "[provenance]"]
     lines += [f"{key} = {_toml(value)}" for key, value in draft.provenance.items()]
     return "\n".join(lines) + "\n"
+
+
+def _group_lines(draft: ObjectDraft) -> list[str]:
+    group = draft.group
+    kinds = {CIRCLE: "cyclic", CIRCLE_WITH_HALF_TURNS: "dihedral"}
+    lines = [f'kind = "{kinds.get(group.kind, group.kind)}"']
+    order = CIRCLE_STEPS if group.is_continuous else group.order
+    lines += [] if order is None else [f"order = {order}"]
+    return [*lines, f"max_offset = {draft.max_offset:.2g}"] if draft.max_offset > _EXACT else lines
 
 
 def _toml(value: Note) -> str:

@@ -47,7 +47,7 @@ def placed(vertices: Points, is_of_body: Flags, shape: CertifiedGroup, tolerance
     moved = (vertices - shape.centre) @ shape.group.frame
     scale = float(np.linalg.norm(moved, axis=1).max())
     unit, by = moved / scale, 0.0
-    if shape.residual > _EXACT and len(shape.group.rotations) > 1:
+    if shape.residual > _EXACT and len(shape.group.rotations) > 1 and not shape.group.is_continuous:
         standard = shape.group.frame.T @ shape.group.rotations @ shape.group.frame
         even = _evened(unit[is_of_body], standard, _NEAR * tolerance)
         if even is not None:
