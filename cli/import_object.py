@@ -155,7 +155,7 @@ def import_in_words(imported: "ImportedObject", spec: ObjectSpec) -> list[str]:
         f"symmetries   {len(spec.stabiliser)} of {len(spec.symmetry_group)} rotations leave all parts in place"
     )
     lines += [f"mended       {note}" for note in imported.notes]
-    x, y, z = imported.centre
+    x, y, z = (0.0 if abs(value) < 1e-9 * imported.scale else value for value in imported.centre)
     lines.append(
         f"placed       ({x:.6g}, {y:.6g}, {z:.6g}) is the origin, {imported.scale:.6g} of the file's units are one"
     )
