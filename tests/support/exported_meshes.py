@@ -39,19 +39,17 @@ def side_of(solid):
     return 2 * axis + (np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] > 0)
 
 
-def mug(facets=36):
+def mug(facets=24):
     """A cup and a handle that reaches into its wall: two closed shells."""
-    points, faces = torus(24, 8)
-    handle = points[:, [0, 2, 1]] * 0.4 + [0.75, 0, 0], faces[:, ::-1]
-    return joined(lathe(CUP, facets), handle)
+    return joined(cup_of(facets), handle_of())
 
 
-def cup_of(facets=36):
+def cup_of(facets=24):
     return lathe(CUP, facets)
 
 
 def handle_of():
-    points, faces = torus(24, 8)
+    points, faces = torus(12, 6)
     return points[:, [0, 2, 1]] * 0.4 + [0.75, 0, 0], faces[:, ::-1]
 
 
