@@ -14,7 +14,7 @@ from symsol_annot.objects.finding.surface import make_surface
 from symsol_annot.objects.finding.symmetries import find_symmetries
 from symsol_annot.objects.importing.object_writing import ObjectDraft
 from symsol_annot.objects.importing.parting import WHOLE, Parting, body_index, parted
-from symsol_annot.objects.importing.placing import alike_joined, placed
+from symsol_annot.objects.importing.placing import alike_joined, placed, steps_of_circle
 from symsol_annot.objects.importing.repairs import Soup, mend, used_vertices
 from symsol_annot.objects.importing.shells import closed_shells
 from symsol_annot.objects.importing.solids import sort_out
@@ -74,11 +74,13 @@ class _Claim:
         shape: the group, its fixed point and its frame in the file.
         of_body: whether the body has it by itself.
         max_offset: how far the group may carry the body off itself, in radii; 0 where it is exact.
+        steps: by how many a circle is stated; None for the usual.
     """
 
     shape: CertifiedGroup
     of_body: bool
     max_offset: float
+    steps: int | None = None
 
 
 def import_mesh(path: Path, name: str, options: ImportOptions) -> ImportedObject:
@@ -114,7 +116,7 @@ def _imported(
         parts = _parts_left(soup, shell_of, replace(parting, by="component"))
         soup.notes.append(f"components were made parts, since without {found.larger[0].what} more rotations fit")
         body, is_body, found = _body(soup, shell_of, parts, options, path)
-    claim = _claim(found)
+    claim = _claim(found, soup.vertices[np.unique(soup.triangles[is_body])])
     soup = used_vertices(soup)
     is_of_body = np.zeros(len(soup.vertices), dtype=bool)
     is_of_body[soup.triangles[is_body]] = True
@@ -138,6 +140,7 @@ def _imported(
         claim.of_body,
         claim.shape.group,
         claim.max_offset,
+        claim.steps,
         {
             "source": path.name,
             "source_sha256": sha256,
@@ -192,11 +195,16 @@ def _lacks_components(found: Symmetries, shell_of: Indices) -> bool:
     return not bool(np.isin(shell_of[taken], shell_of[~taken]).any())
 
 
-def _claim(found: Symmetries) -> _Claim:
+def _claim(found: Symmetries, vertices: npt.NDArray[np.float64]) -> _Claim:
     """Return what an object declares: its body's group, or the larger one of the body without some of its faces.
 
     The larger one is no group of a part by itself, so images are then compared as a whole. A round body of facets may
-    be carried off itself by as much as it is off round.
+    be carried off itself by as much as it is off round. In whole images facets tell, so a circle is then stated by
+    steps among which are all turns of the facets.
+
+    Args:
+        found: of the body.
+        vertices: (n, 3) of the body.
 
     Raises:
         ObjectError: it is a ball.
@@ -204,7 +212,9 @@ def _claim(found: Symmetries) -> _Claim:
     if found.larger:
         one = found.larger[0]
         group = one.as_it_is if one.as_it_is.contains(found.shape.group) else one.group
-        return _Claim(replace(found.shape, group=group, centre=one.centre, residual=0.0), of_body=False, max_offset=0.0)
+        steps = steps_of_circle((vertices - one.centre) @ group.frame) if group.is_continuous else None
+        shape = replace(found.shape, group=group, centre=one.centre, residual=0.0)
+        return _Claim(shape, of_body=False, max_offset=0.0, steps=steps)
     nearly, shape = found.roundness, found.shape
     if shape.group.kind == ALL_ROTATIONS:
         raise ObjectError(

@@ -42,6 +42,7 @@ class ObjectDraft:
         of_body: whether the body has the group by itself; else all parts may break it.
         group: whose axes are those of its kind in the object's frame; a circle is written by steps.
         max_offset: how far the group may carry the body off itself, in radii; 0 where it is exact.
+        steps: by how many a circle is written; None for CIRCLE_STEPS.
         provenance: what was done to the mesh.
     """
 
@@ -55,6 +56,7 @@ class ObjectDraft:
     of_body: bool
     group: Group
     max_offset: float
+    steps: int | None
     provenance: Mapping[str, Note]
 
 
@@ -125,7 +127,7 @@ def _group_lines(draft: ObjectDraft) -> list[str]:
     group = draft.group
     kinds = {CIRCLE: "cyclic", CIRCLE_WITH_HALF_TURNS: "dihedral"}
     lines = [f'kind = "{kinds.get(group.kind, group.kind)}"']
-    order = CIRCLE_STEPS if group.is_continuous else group.order
+    order = (draft.steps or CIRCLE_STEPS) if group.is_continuous else group.order
     lines += [] if order is None else [f"order = {order}"]
     return [*lines, f"max_offset = {draft.max_offset:.2g}"] if draft.max_offset > _EXACT else lines
 

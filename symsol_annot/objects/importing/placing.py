@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from symsol_annot.objects.finding.found import CertifiedGroup
+from symsol_annot.objects.finding.found import CIRCLE_STEPS, CertifiedGroup
+from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
 from symsol_annot.objects.part_symmetries import carried_onto
-from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.rotations.so3 import Rotations, rotations_about
 
 Points = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -17,6 +18,7 @@ Flags = npt.NDArray[np.bool_]
 _DIGITS = 12
 _EXACT = 1e-7  # of the radius: what is no farther off is as exact as an object has to be
 _NEAR = 3.0  # tolerances that a vertex may be from the one that it is carried to
+_SOME, _SAME, _MOST = 200, 1e-4, 0.8  # vertices that are turned; how near to others, and how many of them, they come
 _MOST_QUERIES = 20_000_000
 
 
@@ -70,6 +72,23 @@ def _evened(vertices: Points, group: Rotations, distance: float) -> Points | Non
             return None
         total += vertices[there] @ R
     return np.asarray(total / len(group))
+
+
+def steps_of_circle(vertices: Points) -> int:
+    """Return how many steps stand for a circle about z, of a body of facets with vertices (n, 3) in its frame.
+
+    At least 360, and a multiple of the most facets of which a turn by one carries most vertices to vertices.
+    """
+    reach = np.hypot(vertices[:, 0], vertices[:, 1])
+    off_axis = vertices[reach > 0.1 * reach.max()]
+    some = off_axis[np.unique(np.linspace(0, len(off_axis) - 1, _SOME).astype(int))]
+    tree = cKDTree(vertices)
+    for facets in range(MAX_GROUP_ORDER // 4, 2, -1):
+        R = rotations_about(np.array([0.0, 0.0, 1.0]), 2.0 * np.pi / facets)
+        off, _ = tree.query(some @ R.T, distance_upper_bound=_SAME * reach.max())
+        if np.mean(np.isfinite(off)) >= _MOST:
+            return facets * -(-CIRCLE_STEPS // facets)
+    return CIRCLE_STEPS
 
 
 def alike_joined(corners: Points, part_of: Indices, body: int, group: Rotations) -> Indices:
