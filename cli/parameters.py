@@ -15,14 +15,27 @@ from symsol_annot.rendering.camera import DEFAULT_SIZE, SIZE_RANGE
 from symsol_annot.rendering.engines import DEFAULT_ENGINE, ENGINES
 from symsol_annot.system.text.names import SPLITS, nearest
 
+_MESH_ENDINGS = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".dae")
+
 
 class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the checker alone
-    """The name of a built-in object or the path of an object's folder."""
+    """The name of a built-in object or the path of an object's folder.
+
+    Args:
+        takes_mesh_files: whether the path of a mesh file is taken as well, and returned as it is.
+    """
 
     name = "OBJECT"
 
-    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> ObjectSpec:
+    def __init__(self, *, takes_mesh_files: bool = False) -> None:
+        self._takes_mesh_files = takes_mesh_files
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> ObjectSpec | Path:
         """Load the object; an unknown one, or one of two of that name, is a fault of the command line."""
+        if is_mesh_name(value) and not Path(value).is_dir():
+            if self._takes_mesh_files:
+                return Path(value)
+            self.fail(f"{value} is a mesh file: `symsol-annot import-object` makes an object of it", param, ctx)
         if value in builtin_names() and (Path(value) / "object.toml").is_file():
             self.fail(
                 f"{value!r} is a built-in object, and an object's folder here: './{value}' names the folder; "
@@ -44,6 +57,11 @@ class ObjectType(click.ParamType):  # type: ignore[type-arg]  # generic for the 
         """Offer the built-in objects, and folders where none of them fits."""
         names = [name for name in builtin_names() if name.startswith(incomplete)]
         return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="dir")]
+
+
+def is_mesh_name(name: str) -> bool:
+    """Tell whether a name has the ending of a mesh file, as objects.mesh_files.reading reads them."""
+    return Path(name).suffix.lower() in _MESH_ENDINGS
 
 
 class NearChoice(click.Choice):  # type: ignore[type-arg]  # generic for the checker alone

@@ -10,8 +10,10 @@ from symsol_annot_cli.reporting import LOG_FORMATS, Tally, failures_in_words, re
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.errors import ClusterError
+from symsol_annot.generation.events import Event, Started
 from symsol_annot.generation.executors import OpenExecutor, local_processes
 from symsol_annot.generation.generate import generate
+from symsol_annot.generation.kept_object import KEPT_OBJECT, checked_object, keep_object
 from symsol_annot.generation.process import DEFAULT_LIMITS, Limits
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.blender_process import check_blender_installed
@@ -35,10 +37,10 @@ _MIB = 2**20
 )
 @click.option(
     "--object",
-    "spec",
-    type=ObjectType(),
+    "given",
+    type=ObjectType(takes_mesh_files=True),
     required=True,
-    help="A built-in object, or the folder of an object of your own.",
+    help="A built-in object, the folder of an object of your own, or a mesh file, which is imported.",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Folder of the sets."
@@ -113,7 +115,7 @@ _MIB = 2**20
     help="Form of the progress on standard error.",
 )
 def render(
-    spec: ObjectSpec,
+    given: ObjectSpec | Path,
     out: Path,
     train: int,
     test: int,
@@ -142,15 +144,38 @@ def render(
     limits = Limits(worker_frames, worker_memory * _MIB, time_limit)
     open_executor = _executor(workers, cluster, scheduler_file, limits, exhaustive=annotate_method == "exhaustive")
     settings = RenderSettings(engine, depth=depth)
+    spec, files = (given, None) if isinstance(given, ObjectSpec) else _imported(given)
     plan = SetPlan(spec, {"train": train, "test": test}, seed, Camera.filling(size), settings, annotate)
     folder = out / spec.name
     with reporter(log_format, spec.name) as report:
+
+        def on_event(event: Event) -> None:
+            if files is not None and isinstance(event, Started):  # the folder is this set's
+                keep_object(folder, files)
+            report(event)
+
         try:
-            manifest = generate(plan, folder, open_executor, report, repair=repair)
+            manifest = generate(plan, folder, open_executor, on_event, repair=repair)
         except KeyboardInterrupt:
             say(f"Finished shards in {folder} are kept; re-running the command resumes it.", err=True)
             raise
     _summarise(folder, manifest, report.tally)
+    if files is not None:
+        say(f"The object that was made of {given} is kept in {folder / KEPT_OBJECT}, where `verify --audit` finds it.")
+
+
+def _imported(path: Path) -> tuple[ObjectSpec, dict[str, bytes]]:
+    """Return the object that a mesh file describes, and the files that make it; say what was found and done."""
+    from symsol_annot_cli.import_object import import_in_words, object_name  # noqa: PLC0415 - of no use to other objects
+
+    from symsol_annot.objects.importing.importing import ImportOptions, import_mesh  # noqa: PLC0415 - takes scipy
+    from symsol_annot.objects.importing.object_writing import object_files  # noqa: PLC0415
+
+    imported = import_mesh(path, object_name(path.stem), ImportOptions())
+    files = object_files(imported.draft)
+    spec = checked_object(files)
+    say("\n".join(import_in_words(imported, spec)))
+    return spec, files
 
 
 def _executor(

@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 import click
-from symsol_annot_cli.parameters import example
+from symsol_annot_cli.import_object import object_name, write_import
+from symsol_annot_cli.parameters import example, is_mesh_name
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.errors import ObjectError
@@ -32,7 +33,12 @@ _DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while
     help="Take facets for round where they are no farther from it than this part of the radius.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--write", "folder", type=click.Path(path_type=Path), help="Write the object into this new folder.")
+@click.option(
+    "--write",
+    "folder",
+    type=click.Path(path_type=Path),
+    help="Write the object into this new folder, as import-object does.",
+)
 @click.option(
     "--bop", type=click.Path(path_type=Path), help="Write the symmetries as BOP has them in models_info.json."
 )
@@ -54,6 +60,10 @@ def symmetries(
     MESH is a file (OBJ, STL, PLY, OFF, GLB), an object's folder, or the name of a built-in object. Lengths are printed
     as parts of its radius, which is measured from its group's fixed point.
     """
+    if folder is not None and (round_within is not None or not is_mesh_name(mesh)):
+        raise click.UsageError(
+            "--write makes an object of a mesh file as it is, so not of an object, nor with --round-within"
+        )
     from symsol_annot.objects.finding.record import bop_model_info, symmetries_to_json  # noqa: PLC0415 - takes scipy
     from symsol_annot.objects.finding.symmetries import find_symmetries  # noqa: PLC0415
     from symsol_annot.objects.reading import read_any_surface  # noqa: PLC0415
@@ -67,20 +77,16 @@ def symmetries(
 
         say("\n".join(report_lines(found)))
     if folder is not None:
-        from symsol_annot.objects.object_writing import write_object  # noqa: PLC0415
+        from symsol_annot.objects.importing.importing import ImportOptions  # noqa: PLC0415
 
-        spec = write_object(folder, _object_name(folder), f"made from {Path(mesh).name}", surface, found)
-        say(f"wrote {folder}: object.toml and mesh.obj of {spec.name!r}", err=as_json)
+        options = ImportOptions(tolerance=tolerance)
+        lines = write_import(Path(mesh), folder, object_name(folder.resolve().name), options, drawn=False)
+        say(lines[-1], err=as_json)
     if bop is not None:
         entries = _entries_of(bop)
         entries[str(number)] = bop_model_info(surface, found)
         write_atomically(bop, (json.dumps(entries, indent=2) + "\n").encode())
         say(f"wrote {bop}: model {number}", err=as_json)
-
-
-def _object_name(folder: Path) -> str:
-    name = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "-" for c in folder.resolve().name)
-    return name.lstrip("_-")[:64] or "object"
 
 
 def _entries_of(path: Path) -> dict[str, object]:

@@ -19,7 +19,7 @@ import numpy as np
 from symsol_annot.errors import SymsolError
 from symsol_annot.objects.finding.record import symmetries_to_json
 from symsol_annot.objects.finding.symmetries import find_symmetries
-from symsol_annot.objects.mesh_files import ENDINGS, read_surface
+from symsol_annot.objects.mesh_files.reading import ENDINGS, read_surface
 
 INTRODUCTION = """\
 Made by `tools/find_groups.py`. Lengths are parts of the mesh's radius; a symmetry may carry a point by {tolerance:g}.

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.surface import Surface, surface_of_mesh
-from symsol_annot.objects.mesh_files import ENDINGS, read_surface
+from symsol_annot.objects.mesh_files.reading import ENDINGS, read_surface
 from symsol_annot.objects.spec import builtin_names, load_object
 
 

@@ -10,7 +10,7 @@ from symsol_annot_cli.main import app
 
 from symsol_annot.errors import ObjectError, OutputError
 from symsol_annot.objects.checking.check import check_object
-from symsol_annot.objects.mesh_files import read_surface
+from symsol_annot.objects.mesh_files.reading import read_surface
 from symsol_annot.objects.spec import read_object
 from symsol_annot.objects.surface import distance_to_triangles
 
@@ -66,7 +66,7 @@ def test_the_folder_that_it_writes_is_an_object_whose_geometry_has_the_group(cal
     assert len(spec.symmetry_group) == json.loads(call(SOLIDS[name][0], "--json"))["shape"]["rotations"]
 
 
-def test_a_marked_object_is_written_with_its_stabiliser_and_leaves_to_the_user_what_was_not_looked_at(call, tmp_path):
+def test_an_object_with_a_painted_end_is_written_with_its_parts_and_has_the_body_s_group(call, tmp_path):
     vertices, triangles = prism(6)
     is_end = np.isclose(vertices[triangles][:, :, 2].min(axis=1), vertices[:, 2].max())
     solid = vertices, np.concatenate([triangles[~is_end], triangles[is_end]])
@@ -75,8 +75,10 @@ def test_a_marked_object_is_written_with_its_stabiliser_and_leaves_to_the_user_w
     assert "with parts   C6, 6 rotations" in printed
     (tmp_path / "part.obj").write_text(obj_text(solid, materials))
     done = CliRunner().invoke(app, ["symmetries", "part.obj", "--write", "made"])
-    assert isinstance(done.exception, ObjectError)
-    assert "any_part_fixes_rotation: is false" in str(done.exception)
+    assert done.exit_code == 0, done.output
+    spec = read_object(tmp_path / "made")
+    assert [part.name for part in spec.parts] == ["wood", "paint"]
+    assert (len(spec.symmetry_group), len(spec.stabiliser)) == (12, 6)
 
 
 def test_a_folder_that_is_there_is_not_touched(call, tmp_path):

@@ -5,9 +5,9 @@ import pytest
 from made_solids import SOLIDS, surface_of
 
 from symsol_annot.errors import ObjectError
-from symsol_annot.objects.exported_obj import ExportedObj
 from symsol_annot.objects.finding.find import find_group
-from symsol_annot.objects.mesh_files import read_surface
+from symsol_annot.objects.mesh_files.exported_obj import ExportedObj
+from symsol_annot.objects.mesh_files.reading import read_surface
 
 CUBE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n"
 POINT = b"""ply

@@ -1,4 +1,4 @@
-"""OBJ files as exporters write them, read for their surface: any materials, negative indices, colours, polygons.
+"""OBJ files as exporters write them: any materials, negative indices, colours, places in textures, polygons.
 
 Beyond what a `mesh.obj` of this package holds, these are read: a byte order mark, comments that are no UTF-8, lines
 continued by a backslash, `v x y z w`, `v x y z r g b`, indices from the end, materials of any name, and polygons that
@@ -14,7 +14,8 @@ from symsol_annot.errors import ObjectError
 from symsol_annot.system.text.toml import shown
 
 _DEFAULT_MATERIAL = "default"
-_FEWEST_OF_WEIGHTED = 4
+_FEWEST_OF_WEIGHTED, _FEWEST_WITH_COLOUR = 4, 6
+_NO_UV = (np.nan, np.nan)
 _CROSSED = "this face crosses itself, so it has no inside; divide it"
 
 
@@ -30,6 +31,9 @@ class ExportedObj:
         triangles: (T, 3) indices of vertices.
         material_of: (T,) indices of `materials`.
         materials: the names of those that faces have, in their order.
+        libraries: the files of materials that it names.
+        vertex_colours: (V, 3) u8 in sRGB; None unless each vertex has a colour.
+        corner_uv: (T, 3, 2) where each triangle's corners are in a texture; no number where the file does not say.
 
     Raises:
         ObjectError: a statement is broken; the message names its line.
@@ -38,21 +42,28 @@ class ExportedObj:
     def __init__(self, data: bytes, path: str) -> None:
         self._path, self._line = path, 0
         self._points: list[tuple[float, float, float]] = []
-        self._faces: list[tuple[list[int], int, int]] = []  # corners, material, line
+        self._colours: list[list[float]] = []
+        self._uv: list[tuple[float, float]] = [_NO_UV]  # the first is of corners that name none
+        self._faces: list[tuple[list[int], list[int], int, int]] = []  # corners, their places, material, line
         self._names: dict[str, int] = {}
         self._material = _DEFAULT_MATERIAL
+        self.libraries: list[str] = []
         self._read(data)
         self.vertices: npt.NDArray[np.float64] = np.array(self._points, dtype=np.float64).reshape(-1, 3)
         triangles: list[tuple[int, int, int]] = []
+        uv: list[tuple[int, int, int]] = []
         material_of: list[int] = []
-        for corners, material, line in self._faces:
+        for corners, places, material, line in self._faces:
             self._line = line
-            cut = self._triangles(corners)
-            triangles += cut
-            material_of += [material] * len(cut)
+            for a, b, c in self._triangles(corners):
+                triangles.append((corners[a], corners[b], corners[c]))
+                uv.append((places[a], places[b], places[c]))
+                material_of.append(material)
         self.triangles = np.array(triangles, dtype=np.intp).reshape(-1, 3)
         self.material_of = np.array(material_of, dtype=np.intp)
         self.materials = tuple(self._names)
+        self.vertex_colours = self._read_colours()
+        self.corner_uv: npt.NDArray[np.float64] = np.array(self._uv)[np.array(uv, dtype=np.intp).reshape(-1, 3)]
 
     def _read(self, data: bytes) -> None:
         text = data.decode("latin-1").removeprefix("\xef\xbb\xbf")
@@ -71,14 +82,19 @@ class ExportedObj:
     def _statement(self, words: list[str]) -> None:
         if words[0] == "v":
             self._points.append(self._vertex(words[1:]))
+        elif words[0] == "vt":
+            self._uv.append(_uv_of(words[1:]))
         elif words[0] == "f":
             corners = [self._index(word) for word in words[1:]]
-            corners = [corner for place, corner in enumerate(corners) if corner != corners[place - 1]]
-            if len(corners) >= 3:
+            kept = [place for place, corner in enumerate(corners) if corner != corners[place - 1]]
+            if len(kept) >= 3:
                 material = self._names.setdefault(self._material, len(self._names))
-                self._faces.append((corners, material, self._line))
+                places = [self._uv_index(words[1 + place]) for place in kept]
+                self._faces.append(([corners[place] for place in kept], places, material, self._line))
         elif words[0] == "usemtl":
             self._material = " ".join(words[1:]) or _DEFAULT_MATERIAL
+        elif words[0] == "mtllib" and len(words) > 1:
+            self.libraries.append(" ".join(words[1:]))
 
     def _fault(self, what: str) -> ObjectError:
         return ObjectError(f"{self._path}, line {self._line}: {what}")
@@ -96,8 +112,28 @@ class ExportedObj:
         weight = numbers[3] if len(numbers) == _FEWEST_OF_WEIGHTED else 1.0
         if weight == 0:
             raise self._fault("a vertex has the weight 0, so it lies at no place; give it 1")
+        if len(numbers) >= _FEWEST_WITH_COLOUR:
+            self._colours.append(numbers[-3:])
         x, y, z = (number / weight for number in numbers[:3])
         return x, y, z
+
+    def _read_colours(self) -> npt.NDArray[np.uint8] | None:
+        """Return the vertices' colours (V, 3), which are from 0 to 1, or to 255 where one is beyond 1."""
+        if not self._points or len(self._colours) < len(self._points):
+            return None
+        colours = np.array(self._colours)
+        scale = 255.0 if colours.max() <= 1.0 else 1.0
+        return np.clip(np.round(colours * scale), 0, 255).astype(np.uint8)
+
+    def _uv_index(self, word: str) -> int:
+        """Return the place in the texture that a corner names; 0, which is none, where it names none that is there."""
+        second, count = word.split("/")[1:2], len(self._uv) - 1
+        try:
+            number = int(second[0]) if second else 0
+        except ValueError:
+            number = 0
+        index = number if number > 0 else count + 1 + number
+        return index if number != 0 and 1 <= index <= count else 0
 
     def _index(self, word: str) -> int:
         first, count = word.split("/", 1)[0], len(self._points)
@@ -111,9 +147,9 @@ class ExportedObj:
         return index
 
     def _triangles(self, corners: list[int]) -> list[tuple[int, int, int]]:
-        """Cut a polygon into triangles, by its ears, as seen along its normal."""
+        """Cut a polygon into triangles, by its ears, as seen along its normal: the numbers of its corners, from 0."""
         if len(corners) == 3:
-            return [(corners[0], corners[1], corners[2])]
+            return [(0, 1, 2)]
         points = self.vertices[corners]
         following = np.roll(points, -1, axis=0)
         normal = np.cross(points - points[0], following - points[0]).sum(axis=0)
@@ -125,7 +161,15 @@ class ExportedObj:
         normal /= length
         across = np.cross(normal, np.eye(3)[int(np.abs(normal).argmin())])
         flat = np.stack([points @ across, points @ np.cross(normal, across)], axis=1)
-        return [(corners[a], corners[b], corners[c]) for a, b, c in _ears(flat, self._fault)]
+        return _ears(flat, self._fault)
+
+
+def _uv_of(words: list[str]) -> tuple[float, float]:
+    try:
+        u, v = (float(word) for word in words[:2])
+    except ValueError:
+        return _NO_UV
+    return u, v
 
 
 def _ears(flat: npt.NDArray[np.float64], fault: Callable[[str], ObjectError]) -> list[tuple[int, int, int]]:
