@@ -1,11 +1,14 @@
 """Groups, spheres and turned pictures of an import from BOP, against what they must be."""
 
+import struct
+
 import numpy as np
 import pytest
 from imported_sets import angles
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
+from symsol_annot.bop.reading.ply_vertices import read_vertices
 from symsol_annot.bop.reading.smallest_sphere import smallest_sphere
 from symsol_annot.bop.reading.symmetries import symmetry_group
 from symsol_annot.bop.turned_views import picture_of, turn_to_axis, view_of
@@ -90,6 +93,19 @@ def test_no_smaller_sphere_holds_the_points(count):
     )
     assert np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + 1e-12)
     assert radius <= found.fun + 1e-9
+
+
+@pytest.mark.parametrize(("kind", "order"), [("ascii", ""), ("binary_little_endian", "<"), ("binary_big_endian", ">")])
+def test_vertices_of_every_ply_are_the_same(tmp_path, kind, order):
+    points = [(1.5, -2.0, 3.25), (4.0, 5.5, -6.0)]
+    header = ["ply", f"format {kind} 1.0", "element vertex 2", *(f"property double {axis}" for axis in "zxy")]
+    header += ["property short flag", "element face 0", "property list uchar int vertex_indices", "end_header", ""]
+    rows = [(z, x, y, -7) for x, y, z in points]
+    body = b"".join(
+        struct.pack(f"{order}3dh", *row) if order else f"{' '.join(map(str, row))}\n".encode() for row in rows
+    )
+    (tmp_path / "a.ply").write_bytes("\n".join(header).encode() + body)
+    assert np.array_equal(read_vertices(tmp_path, tmp_path / "a.ply").points, points)
 
 
 def test_the_turn_takes_a_direction_to_the_axis_by_the_smallest_angle():

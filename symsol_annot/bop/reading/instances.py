@@ -6,6 +6,7 @@ SPLIT/SCENE/scene_camera.json      cam_K per image
 SPLIT/SCENE/rgb/IMAGE.png          or gray, or .jpg
 """
 
+import contextlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -131,10 +132,12 @@ def _scenes(root: Path, folder: Path) -> list[Path]:
 
 
 def _missing(root: Path, error: OSError) -> str:
-    if isinstance(error, FileNotFoundError) and root.is_dir():
-        there = sorted(path.name for path in root.iterdir() if path.is_dir())
-        return f"no such folder; {root} has {first_of(there, _SHOWN_IDS) or 'no folders'}"
-    words = "no such folder" if isinstance(error, FileNotFoundError) else error.strerror
+    words = error.strerror
+    if isinstance(error, FileNotFoundError):
+        words = "no such folder"
+        with contextlib.suppress(OSError):
+            there = sorted(path.name for path in root.iterdir() if path.is_dir())
+            return f"{words}; {root} has {first_of(there, _SHOWN_IDS) or 'no folders'}"
     return f"{words}; expected a folder of scenes in the folder of a BOP dataset"
 
 

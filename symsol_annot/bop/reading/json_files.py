@@ -35,8 +35,12 @@ class JsonFile:
 
 
 def is_there(path: Path) -> bool:
-    """Tell whether there is something of this name, a broken link too."""
-    return path.exists() or path.is_symlink()
+    """Tell whether there is something of this name: a broken link too, and what may not be looked at."""
+    try:
+        path.lstat()
+    except OSError as error:
+        return not isinstance(error, (FileNotFoundError, NotADirectoryError))
+    return True
 
 
 def check_inside(root: Path, path: Path) -> None:
