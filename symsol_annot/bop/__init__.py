@@ -1,1 +1,1 @@
-"""BOP, the benchmark of object poses: sets in the format that its toolkit reads, its results as predictions."""
+"""BOP, the benchmark of object poses: sets in its format, its results as predictions, its images as sets."""

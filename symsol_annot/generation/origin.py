@@ -36,9 +36,8 @@ def object_behind(folder: Path, manifest: Manifest, given: ObjectSpec | None = N
         DataError: as `plan_behind`.
     """
     if manifest.is_imported:
-        raise DataError(
-            f"{folder}: was imported, so it cannot be drawn again; `symsol-annot import-symsol` makes it anew"
-        )
+        command = manifest.imported.source.command
+        raise DataError(f"{folder}: was imported, so it cannot be drawn again; `symsol-annot {command}` makes it anew")
     if manifest.is_sealed:
         raise DataError(f"{folder}: is sealed, so it can be drawn again by whoever has its secret alone; fetch it anew")
     name = manifest.settings.object

@@ -35,10 +35,10 @@ class Camera:
     height: int
 
     @classmethod
-    def filling(cls, size: int) -> "Camera":
+    def filling(cls, size: int, distance: float = _DISTANCE) -> "Camera":
         """Return the default camera for square images: the bounding sphere fills 90% of the width.
 
-        A unit sphere at distance d projects to a disc of radius focal_px / sqrt(d^2 - 1).
+        A unit sphere at distance d > 1 projects to a disc of radius focal_px / sqrt(d^2 - 1).
 
         Raises:
             SettingsError: the size is out of range.
@@ -46,8 +46,8 @@ class Camera:
         low, high = SIZE_RANGE
         if not low <= size <= high:
             raise SettingsError(f"image size: expected {low} to {high} pixels, found {size}")
-        focal_px = 0.5 * _FILLED_WIDTH * size * float(np.sqrt(_DISTANCE**2 - 1.0))
-        return cls(_DISTANCE, focal_px, size, size)
+        focal_px = 0.5 * _FILLED_WIDTH * size * float(np.sqrt(distance**2 - 1.0))
+        return cls(distance, focal_px, size, size)
 
     def lattice(self, n: int) -> "Camera":
         """Return the camera whose pixels are the points of this one's lattice, which lie 1 / n pixel apart.

@@ -50,6 +50,14 @@ def rotation_deviation(R: Rotations) -> npt.NDArray[np.float64]:
         return np.maximum(gram, np.abs(np.linalg.det(R) - 1.0))
 
 
+def nearest_rotations(matrices: Rotations) -> Rotations:
+    """Return the rotations nearest to (..., 3, 3) matrices in the Frobenius norm."""
+    u, _, vt = np.linalg.svd(matrices)
+    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
+    nearest: Rotations = u @ vt
+    return nearest
+
+
 def angle_between(R_a: Rotations, R_b: Rotations) -> Angles:
     """Return the smallest angle that turns R_a into R_b (eq. 5.6).
 

@@ -388,7 +388,7 @@ def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = T
     entries = manifest.of_split(split)
     missing = [entry.file for entry in entries if not entry.is_finished or not (path / entry.file).is_file()]
     if missing:
-        command = "import-symsol" if manifest.is_imported else "render"
+        command = manifest.imported.source.command if manifest.is_imported else "render"
         remedy = f"the same `symsol-annot {command}` command makes them"
         raise DataError(
             f"{path}: {len(missing)} of {len(entries)} {split} shards are missing, the first {missing[0]}; "

@@ -19,6 +19,7 @@ ANNOTATE_CHOICES = ("all", "test", "none")
 MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
 SECRET_SEED_BITS = 128  # of a sealed test; a seed beyond MAX_SEED is stored as a text of 32 hexadecimal digits
 MAX_SECRET_SEED = 2**SECRET_SEED_BITS - 1
+BOP_SOURCE = "BOP"  # how the name of a source begins that `import-bop` read
 _MAX_LISTED = 2**31
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _SECRET_SEED = re.compile(r"[0-9a-f]{32}")
@@ -198,7 +199,7 @@ class Source:
 
     Attributes:
         name: of the source, like "SYMSOL".
-        sha256: of its file.
+        sha256: of its file; of a list of its files where it has several.
         convention: of its rotations, in words; "unknown" where the source does not say.
         transposed: whether its matrices were transposed, so that symmetries act on the right.
         rotations_listed: how many rotations it lists per annotated image.
@@ -211,6 +212,11 @@ class Source:
     transposed: bool
     rotations_listed: int
     duplicates_removed: int
+
+    @property
+    def command(self) -> str:
+        """The command that imports from it."""
+        return "import-bop" if self.name.startswith(BOP_SOURCE) else "import-symsol"
 
     def to_json(self) -> dict[str, Any]:
         """Return the source as it stands in manifest.json and in the attributes of a shard."""

@@ -1,14 +1,8 @@
 """Zip files of unknown origin, read within limits: on their list of files, and on what a file unpacks to."""
 
-import struct
 import zipfile
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import pairwise
 from typing import IO, Any
-
-from symsol_annot.errors import DataError
 
 _MAX_DIRECTORY_BYTES = 50_000_000  # of a zip; SYMSOL's 400,000 files take about 40 MB, a million names 1 GB of memory
 _MAX_READ_BYTES = 2**28  # at once, of what is packed
@@ -17,21 +11,6 @@ _LOCAL_HEADER_BYTES = 30
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 1  # flag
 _MAX_NAME = 100  # characters of a name that a message shows
-_READING_ERRORS = (
-    OSError,  # Pillow's and the operating system's
-    EOFError,
-    KeyError,
-    NotImplementedError,
-    OverflowError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-    Warning,
-)
 
 
 class _Bounded:
@@ -96,15 +75,6 @@ def refuse_ratio(info: zipfile.ZipInfo) -> None:
     """
     if info.file_size > _MAX_RATIO * info.compress_size + _RATIO_SLACK:
         raise ValueError(f"is of {info.file_size} bytes in {info.compress_size}, as only a bomb is packed")
-
-
-@contextmanager
-def as_data_error(what: str) -> Iterator[None]:
-    """Turn what zipfile, zlib and Pillow raise on a damaged file into a DataError that names it."""
-    try:
-        yield
-    except _READING_ERRORS as error:
-        raise DataError(f"{what}: {error or type(error).__name__}") from None
 
 
 def _shown(info: zipfile.ZipInfo) -> str:

@@ -4,12 +4,9 @@ The source lists m rotations per image and says nothing of their convention, of 
 R g with g of one group; that is checked for every image, and the group's duplicates are removed.
 """
 
-import hashlib
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -17,25 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot import __version__
-from symsol_annot.errors import DataError, DifferentSetError, SettingsError, output_errors
-from symsol_annot.rotations.so3 import Rotations, rotation_deviation
-from symsol_annot.sets.manifest import (
-    MANIFEST_NAME,
-    Manifest,
-    ShardEntry,
-    read_manifest,
-    refuse_to_add,
-    write_manifest,
-)
+from symsol_annot.errors import DataError, SettingsError
+from symsol_annot.importing.set_writing import is_whole, manifest_there, place_of, write_set
+from symsol_annot.rotations.so3 import Rotations, nearest_rotations, rotation_deviation
+from symsol_annot.sets.manifest import Manifest, ShardEntry
 from symsol_annot.sets.plan import division_into_shards
 from symsol_annot.sets.settings import ImportedSettings, Source
 from symsol_annot.sets.shard.writer import ShardFile, ShardWriter, storage_versions
-from symsol_annot.symsol.listed_groups import SAME_RAD, ListedGroup, listed_group, nearest_rotations
+from symsol_annot.symsol.listed_groups import SAME_RAD, ListedGroup, listed_group
 from symsol_annot.symsol.zip_reader import SymsolZip
-from symsol_annot.system.files import check_inside, new_folder, write_atomically
 from symsol_annot.system.locks import held_folder
 from symsol_annot.system.progress import OnImages, ignore_images
-from symsol_annot.system.reading import file_sha256
 from symsol_annot.system.text.names import SPLITS
 
 MAX_OFF_SO3 = 1e-4
@@ -102,14 +91,13 @@ def import_symsol(
             importer = _Importer(source, name, sha256)
             folder, manifest = out / name, importer.manifest
             members = len(importer.listed.group) if manifest.settings.annotate != "none" else None
-            there = _manifest_there(folder, manifest)
-            if there and _is_whole(folder, there):
+            there = manifest_there(folder, manifest)
+            if there and is_whole(folder, there):
                 yield ImportedSet(folder, there, members, was_there=True)
                 continue
-            if there:
-                check_inside(folder, [MANIFEST_NAME, *(entry.file for entry in manifest.shards)])
+            place_there = place_of(folder, manifest, is_there=there is not None)
             on_begin(manifest)
-            with nullcontext(folder) if there else new_folder(folder) as place:  # there, shard after shard is replaced
+            with place_there as place:
                 made = importer.write(place, workers, on_images)
                 source.refuse_change()
             yield ImportedSet(folder, made, members, importer.off_so3, importer.off_sets_rad)
@@ -143,20 +131,8 @@ class _Importer:
 
     def write(self, folder: Path, workers: int, on_images: OnImages) -> Manifest:
         """Write all shards and the manifest, and return it."""
-        under_way: deque[tuple[ShardEntry, Future[ShardFile]]] = deque()
-        manifest = self.manifest
-        with ThreadPoolExecutor(workers, thread_name_prefix="import") as pool:
-            try:
-                for entry, R in self._rotations():
-                    under_way.append((entry, pool.submit(self._shard, entry, R)))
-                    if len(under_way) > workers:
-                        manifest = _keep(folder, manifest, *under_way.popleft(), on_images)
-                while under_way:
-                    manifest = _keep(folder, manifest, *under_way.popleft(), on_images)
-            finally:
-                pool.shutdown(cancel_futures=True)
-        write_manifest(folder, manifest)
-        return manifest
+        shards = ((entry, partial(self._shard, entry, R)) for entry, R in self._rotations())
+        return write_set(folder, self.manifest, shards, workers, on_images)
 
     def _rotations(self) -> Iterator[tuple[ShardEntry, Rotations]]:
         """Yield each shard with its images' own rotations (n, 3, 3), after checking their lists."""
@@ -236,41 +212,6 @@ def _annotate(source: SymsolZip, name: str) -> str:
         return "test"
     found = ", ".join(f"{number} in {split}" for split, number in listed.items())
     raise DataError(f"{source.path}: {name}: expected as many rotations per image in both splits, found {found}")
-
-
-def _keep(
-    folder: Path, manifest: Manifest, entry: ShardEntry, made: "Future[ShardFile]", on_images: OnImages
-) -> Manifest:
-    """Write a shard; return the manifest with it."""
-    file = made.result()
-    write_atomically(folder / entry.file, file.data)
-    on_images(entry.images)
-    sha256 = hashlib.sha256(file.data).hexdigest()
-    return manifest.with_finished(
-        replace(entry, bytes=len(file.data), sha256=sha256, content_sha256=file.content_sha256)
-    )
-
-
-def _manifest_there(folder: Path, planned: Manifest) -> Manifest | None:
-    """Return the manifest of a set that a folder holds already; refuse another one, or anything else."""
-    if (folder / MANIFEST_NAME).exists():
-        there = read_manifest(folder)
-        refuse_to_add(folder, there)
-        differences = planned.differences(there)
-        if differences:
-            raise DifferentSetError(str(folder), differences)
-        return there
-    with output_errors(folder):
-        if folder.exists() and any(folder.iterdir()):
-            raise DifferentSetError(str(folder), [f"it holds files, and no {MANIFEST_NAME}"])
-    return None
-
-
-def _is_whole(folder: Path, manifest: Manifest) -> bool:
-    try:
-        return all(file_sha256(folder / entry.file) == entry.sha256 for entry in manifest.shards)
-    except OSError:
-        return False
 
 
 def _versions() -> dict[str, str]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from symsol_annot.errors import DataError
-from symsol_annot.rotations.so3 import Rotations, angle_between
+from symsol_annot.rotations.so3 import Rotations, angle_between, nearest_rotations
 
 SAME_RAD = 1e-4  # the source's float32 is off by 1e-6; neighbours on its circles are 0.0175 apart
 
@@ -79,14 +79,6 @@ def listed_group(listed: Rotations, what: str) -> ListedGroup:
     if cKDTree(group.reshape(-1, 9)).query(products)[0].max() > SAME_RAD:
         raise DataError(f"{what}: the {len(group)} different rotations of a list make no group: a product is not in it")
     return ListedGroup(group, (np.cumsum(is_first) - 1)[first_same], is_transposed)
-
-
-def nearest_rotations(matrices: Rotations) -> Rotations:
-    """Return the rotations nearest to (..., 3, 3) matrices in the Frobenius norm."""
-    u, _, vt = np.linalg.svd(matrices)
-    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
-    nearest: Rotations = u @ vt
-    return nearest
 
 
 def _relative(listed: Rotations, *, is_transposed: bool) -> Rotations:

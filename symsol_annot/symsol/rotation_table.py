@@ -8,7 +8,7 @@ from typing import IO
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.symsol.bounded_zip import as_data_error
+from symsol_annot.importing.reading_errors import as_data_error
 
 MAX_IMAGES, MAX_LISTED = 100_000, 1000  # of an object in a split; rotations per image, SYMSOL's 720 at most
 _MAX_HEADER_BYTES = 10_000  # of an npy file; beyond, Python's parser may take long

@@ -21,8 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import DataError, bulleted
-from symsol_annot.symsol.bounded_zip import as_data_error, member_faults, opened_zip, refuse_larger, refuse_ratio
-from symsol_annot.symsol.png_reader import PNG_HEADER_BYTES, decoded_png, most_bytes
+from symsol_annot.importing.pictures import PNG_HEADER_BYTES, decoded_png, most_bytes
+from symsol_annot.importing.reading_errors import as_data_error
+from symsol_annot.symsol.bounded_zip import member_faults, opened_zip, refuse_larger, refuse_ratio
 from symsol_annot.symsol.rotation_table import RotationTable, TableHeader
 from symsol_annot.system.closing import Closing
 from symsol_annot.system.reading import open_regular

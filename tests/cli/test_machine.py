@@ -104,6 +104,7 @@ READERS = [
     ["fetch", "--out", "out"],
     ["gallery", "--out", "out"],
     ["import-symsol"],
+    ["import-bop", "--id", "1", "--out", "out"],
     ["leaderboard", "--out", "out.md"],
     ["validate"],
     ["score"],

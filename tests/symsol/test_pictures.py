@@ -1,4 +1,4 @@
-"""PNG files of unknown origin: their pixels are read, and nothing else of them."""
+"""PNG files in a zip of unknown origin: their pixels are read, and nothing else of them."""
 
 import struct
 import zipfile

@@ -1,0 +1,1 @@
+"""BOP datasets, read as files of unknown origin."""
