@@ -2,9 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
-import zipfile
 from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -168,20 +165,6 @@ def test_no_built_in_recipe_is_without_a_test_and_each_has_a_title_of_its_own():
     names = builtin_recipes()
     assert [name for name in names if name not in known | named and not name.startswith(("small-", "reduced-"))] == []
     assert len({load_recipe(name).title for name in names}) == len(names)
-
-
-def test_the_recipes_are_in_the_wheel(tmp_path):
-    code = "import setuptools.build_meta as b; print(b.build_wheel(__import__('sys').argv[1]))"
-    copy = tmp_path / "source"
-    copied = ["pyproject.toml", "README.md", "LICENSE", "symsol_annot", "cli", "blender_assets"]
-    copy.mkdir()
-    for name in copied:
-        subprocess.run(["cp", "-r", ROOT / name, copy], check=True)
-    subprocess.run([sys.executable, "-c", code, tmp_path], cwd=copy, capture_output=True, check=True)
-    (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as content:
-        found = [Path(name).stem for name in content.namelist() if "/models/recipes/" in name]
-    assert sorted(found) == builtin_recipes()
 
 
 # --- reading and writing ---
