@@ -8,8 +8,26 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from forked_readers import forked_children, started_children
 from made_sets import make_set
 from symsol_annot_cli.main import main
+
+from symsol_annot.sets.shard import reader
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _forked():
+    """Processes that read files of unknown origin are forked, which is faster than those that the product starts."""
+    with forked_children():
+        yield
+
+
+@pytest.fixture
+def started():
+    """The same processes started as the product starts them: for tests that are about them."""
+    reader._DESCRIBER.close()
+    with started_children():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -58,11 +58,22 @@ class ForkedChild:
 def forked_children(stderr=os.devnull):
     """Let the sandbox fork its processes."""
     ForkedChild.stderr = stderr
-    sandbox.subprocess = SimpleNamespace(Popen=ForkedChild, PIPE=subprocess.PIPE, DEVNULL=subprocess.DEVNULL)
+    with _beginning_with(SimpleNamespace(Popen=ForkedChild, PIPE=subprocess.PIPE, DEVNULL=subprocess.DEVNULL)):
+        yield
+
+
+def started_children():
+    """Let the sandbox start its processes afresh, as the product does, within `forked_children` too."""
+    return _beginning_with(subprocess)
+
+
+@contextlib.contextmanager
+def _beginning_with(module):
+    before, sandbox.subprocess = sandbox.subprocess, module
     try:
         yield
     finally:
-        sandbox.subprocess = subprocess
+        sandbox.subprocess = before
 
 
 def _pipe():

@@ -186,3 +186,17 @@ class GridIndex:
         lists = self._tree.query_ball_point(rotation_to_quat_wxyz(R), chord)
         found = np.concatenate([np.zeros(0), *lists]).astype(np.int64)
         return np.unique(found % len(self))
+
+
+def grid_index(level: int = STANDARD_LEVEL) -> GridIndex:
+    """Return the index of a level's grid; those up to the standard level are made once, and shared.
+
+    Raises:
+        SettingsError: there is no such level.
+    """
+    return _kept_index(level) if level <= STANDARD_LEVEL else GridIndex(level)
+
+
+@lru_cache(maxsize=STANDARD_LEVEL + 1)
+def _kept_index(level: int) -> GridIndex:
+    return GridIndex(level)

@@ -6,12 +6,11 @@ that a copy that cannot run at all is not taken for a fault that was found.
 
 import os
 import shutil
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+from forked_programs import Server
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {"symsol_annot": "symsol_annot", "cli": "symsol_annot_cli", "blender_assets": "symsol_annot_assets"}
@@ -248,6 +247,10 @@ def test_groups_have_their_orders_without_duplicates():
         assert len(np.unique(np.round(group.reshape(-1, 9), 6) + 0.0, axis=0)) == order == len(group)
 
 
+# Others' packages alone: what is imported before the fork cannot be a copy with a fault.
+SERVER = Server(
+    "quick_pytest", "numpy", "scipy.spatial", "scipy.stats", "healpix", "h5py", "zlib_ng", "PIL.Image", "roma"
+)
 CLAIMS = ("AssertionError", "assert ", "Failed: DID NOT", "symsol_annot.errors.")
 
 
@@ -269,17 +272,20 @@ def run_with(copy, tmp_path, nodes, fault=None):
         assert text.count(right) == 1, f"{file} does not hold {right!r} once: the fault cannot be planted"
         path.write_text(text.replace(right, wrong))
     report = tmp_path / "report.xml"
-    command = [sys.executable, "-P", "-m", "pytest", "-p", "no:cacheprovider", "-x", f"--junitxml={report}"]
+    options = [
+        "-W",
+        "ignore::pytest.PytestAssertRewriteWarning",
+        "-p",
+        "no:cacheprovider",
+        "-x",
+        f"--junitxml={report}",
+        f"--basetemp={tmp_path / 'inside'}",
+    ]
     compiled = {"PYTHONPYCACHEPREFIX": str(copy / "compiled"), "PYTHONDONTWRITEBYTECODE": ""}
+    environment = {**os.environ, **compiled, "PYTHONPATH": str(copy)}
+    words = [*options, *(f"tests/{node}" for node in nodes)]
     try:
-        done = subprocess.run(
-            [*command, *(f"tests/{node}" for node in nodes)],
-            cwd=ROOT,
-            env={**os.environ, **compiled, "PYTHONPATH": str(copy)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = SERVER.run("quick_pytest:main", *words, cwd=ROOT, env=environment, path=[copy])
     finally:
         if fault:
             path.write_text(text)

@@ -147,3 +147,11 @@ def test_digest_is_another_for_another_order_frame_or_convention(level):
     others = [np.swapaxes(R, 1, 2), R[::-1], np.roll(R, 1, axis=0), grid.grid_frame_to_e3nn(R)]
     others += [R.reshape(6 * 2**level, -1, 3, 3).swapaxes(0, 1)]
     assert len({digest(other) for other in [*others, R]}) == len(others) + 1
+
+
+def test_an_index_up_to_the_standard_level_is_made_once_and_a_larger_one_is_not_kept(monkeypatch):
+    shared = grid.grid_index(1)
+    assert grid.grid_index(1) is shared
+    np.testing.assert_array_equal(shared.rotations, grid.equivolumetric_grid(1))
+    monkeypatch.setattr(grid, "STANDARD_LEVEL", 0)
+    assert grid.grid_index(1) is not grid.grid_index(1)

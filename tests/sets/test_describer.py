@@ -34,7 +34,7 @@ FORKS = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 
 
 @pytest.fixture(autouse=True)
-def describer(monkeypatch):
+def describer(started, monkeypatch):
     """A describer of the test's own."""
     own = shards._Describer()
     os.register_at_fork(after_in_child=own.forget)

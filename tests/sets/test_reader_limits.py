@@ -16,6 +16,8 @@ from tampering import put
 from symsol_annot.errors import DataError
 from symsol_annot.sets.shard import reader as shards
 
+pytestmark = pytest.mark.usefixtures("started")
+
 
 def peak_bytes(pid):
     """Return the most memory that a process has held since `reset_peak`."""

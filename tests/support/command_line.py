@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from forked_programs import Server
 
 CALL_MAIN = "from symsol_annot_cli.main import main; main()"
 COMMAND = (sys.executable, "-c", CALL_MAIN)
@@ -56,8 +57,19 @@ def run(*command, env=None, cwd=None):
     return done
 
 
-def symsol(*arguments, **options):
-    return run(*COMMAND, *arguments, **options)
+_PROGRAMS = Server(
+    *(f"symsol_annot_cli.{name}" for name in ("info", "objects", "render", "score", "seal", "validate", "verify")),
+    forks_readers=True,
+)
+
+
+def symsol(*arguments, env=None, cwd=None):
+    """Run the command to its end: in a fork, but afresh where variables may change how Python starts."""
+    if env:
+        return run(*COMMAND, *arguments, env=env, cwd=cwd)
+    done = _PROGRAMS.run("symsol_annot_cli.main:main", *arguments, cwd=cwd)
+    assert "Traceback" not in done.stderr + done.stdout, done.stderr
+    return done
 
 
 def contents(folder):

@@ -1,5 +1,7 @@
 """A plain Renderer on the ray caster, for tests that are not about Blender."""
 
+from functools import cache
+
 import numpy as np
 from oracle import cast, cast_samples
 
@@ -10,6 +12,11 @@ from symsol_annot.rendering.windows import Window
 COLOURS = np.array([[255, 255, 255], [180, 200, 230], [230, 90, 40]], dtype=np.uint8)
 # Of the 3x3 samples of a pixel, those on its corners are shared by four, those on its edges by two.
 WEIGHTS = {(i, j): (2 - abs(i - 1)) * (2 - abs(j - 1)) for i in range(3) for j in range(3)}
+
+
+@cache
+def parts_of(name):
+    return load_object(name).mesh.parts
 
 
 class NumpyRenderer:
@@ -33,9 +40,7 @@ class NumpyRenderer:
         rgb = np.zeros((self.size, self.size, 3), int)
         for (row, column), weight in WEIGHTS.items():
             rgb += weight * samples[row:, column:][: 2 * self.size : 2, : 2 * self.size : 2]
-        part_pixels = np.array(
-            [np.count_nonzero(ids == part) / 4 for part in (1, 2)[: load_object(self.name).mesh.parts]]
-        )
+        part_pixels = np.array([np.count_nonzero(ids == part) / 4 for part in (1, 2)[: parts_of(self.name)]])
         segmentation, rows = cast(self.name, R_m2c, self.size), np.arange(self.size)[:, None]
         depth = np.where(segmentation > 0, 4.5 - rows / self.size, 0.0).astype(np.float32) if self.has_depth else None
         return View(((rgb + 8) // 16).astype(np.uint8), segmentation, part_pixels, depth)

@@ -1,13 +1,6 @@
 """The commands that score, in processes of their own."""
 
-import sys
+from command_line import COMMAND, symsol
 
-from bench_sets import run
-
-CALL_MAIN = "from symsol_annot_cli.main import main; main()"
-COMMAND = (sys.executable, "-c", CALL_MAIN)
+__all__ = ["COMMAND", "IMAGES", "symsol"]
 IMAGES = {"tetX": 24, "cylO": 4}
-
-
-def symsol(*arguments, **options):
-    return run(*COMMAND, *arguments, **options)

@@ -17,7 +17,7 @@ from symsol_annot.bench.predictions.writing.submission import write_columns, wri
 from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.scoring import ObjectScores, score_file
 from symsol_annot.errors import ScoresError
-from symsol_annot.rotations.grid import STANDARD_LEVEL, GridIndex
+from symsol_annot.rotations.grid import STANDARD_LEVEL, grid_index
 from symsol_annot.rotations.so3 import Rotations, uniform_rotations
 from symsol_annot.sets.dataset import Dataset
 
@@ -33,7 +33,7 @@ def truth(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVE
     write_hypotheses(path, dataset, known.labels.members, method="truth", progress=False)
     nowhere = [np.zeros(0, dtype=np.int64)] * len(known)
     _write_classifier(path, dataset, known.labels.symmetry_mask, nowhere, "truth", level)
-    grid = GridIndex(level)
+    grid = grid_index(level)
     cells = [np.unique(grid.nearest(known.labels.members(i)), return_counts=True) for i in range(len(known))]
     columns = {
         "density_offsets": _offsets([indices for indices, _ in cells]),
@@ -74,7 +74,7 @@ def evenly_placed(path: Path, dataset: Dataset, known: Truth, _level: int = STAN
 
 def rounded_to_grid(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVEL) -> None:
     """Write the grid rotations nearest to the members: as hypotheses, and as what a classifier claims on the grid."""
-    grid, method = GridIndex(level), "truth rounded to the grid"
+    grid, method = grid_index(level), "truth rounded to the grid"
     cells = [np.unique(grid.nearest(known.labels.members(i))) for i in range(len(known))]
     write_hypotheses(path, dataset, lambda i: grid.rotations[cells[i]], method=method, progress=False)
     _write_classifier(path, dataset, known.labels.symmetry_mask, cells, method, level)

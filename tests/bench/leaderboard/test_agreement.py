@@ -1,5 +1,8 @@
 """Whether an order by one rotation is that by the whole set: methods whose orders are known."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 from made_boards import IMAGES, add_result, page_of, tables_of
@@ -19,9 +22,11 @@ def put(grid, rotations, mass, size):
     return np.log(p)
 
 
-@pytest.fixture
-def board(folder, images, tmp_path):
-    """Three methods: one is sure of R_gt, one of the whole set, and one less sure of it."""
+@pytest.fixture(scope="module")
+def board(original, images, tmp_path_factory):
+    """Three methods: one is sure of R_gt, one of the whole set, and one less sure of it; not to be written to."""
+    tmp_path = tmp_path_factory.mktemp("agreement")
+    folder = Path(shutil.copytree(original, tmp_path / "board"))
     labels, grid = images.labels(), GridIndex(STANDARD_LEVEL)
     methods = {
         "one": lambda i: (labels.rotation[i][None], 0.99),

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from forked_pickles import forked_pickles
 from made_sets import make_set
 from tiny_training import CPU, RECIPES
 from torchvision_weights import torchvision_weights
@@ -12,6 +13,13 @@ from symsol_annot.bench.models.training.loop import train
 from symsol_annot.sets.dataset import load
 
 torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _forked_pickles():
+    """Files of torch.save are read in forks, which is faster than the processes that the product starts."""
+    with forked_pickles():
+        yield
 
 
 def _plot_at_the_end(path, record):

@@ -9,7 +9,6 @@ import pytest
 import valid_predictions
 from bench_sets import small_set
 from changed_predictions import MISSING
-from forked_readers import forked_children
 from made_sets import make_set
 from valid_predictions import valid_attributes, valid_columns, write_file
 from written_predictions import IMAGES, write
@@ -56,13 +55,6 @@ def written(_two_tracks, tmp_path):
 # --- files that are read ---
 
 
-@pytest.fixture(scope="module")
-def forked():
-    """Processes that read predictions files are forked, which is faster than those that the product starts."""
-    with forked_children():
-        yield
-
-
 @pytest.fixture(scope="session")
 def data(tmp_path_factory):
     """A folder with a tetX set of 6 images."""
@@ -79,7 +71,7 @@ def valid(data):
 
 
 @pytest.fixture
-def scores(tmp_path, data, valid, forked):
+def scores(tmp_path, data, valid):
     """Write a file with some columns and attributes changed, then score it."""
 
     def score(columns=None, attributes=None, edit=lambda _: None, tracks=TRACKS, **stored):
@@ -114,7 +106,7 @@ def faults(scores):
 
 
 @pytest.fixture
-def refused(tmp_path, data, forked):
+def refused(tmp_path, data):
     """Write bytes to a file and return why it is refused."""
 
     def why(content):

@@ -24,6 +24,7 @@ from symsol_annot.system.sandbox import hdf5_child
 
 COMMAND = (sys.executable, "-c", "from symsol_annot_cli.main import main; main()")
 ROWS = np.arange(12.0).reshape(4, 3)
+pytestmark = pytest.mark.usefixtures("started")
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="limits and what tells of opened files are Linux's")
 
 

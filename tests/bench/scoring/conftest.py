@@ -9,6 +9,7 @@ from bench_sets import small_set
 from compared_scores import COMPARED_IMAGES, SHIFT_RAD
 from label_sets import IMAGES, SIZE, LabelRenderer
 from made_sets import make_plan, threads
+from reported_scores import report_on
 from scipy.spatial.transform import Rotation
 from scoring_oracle import TruthOracle
 
@@ -58,6 +59,12 @@ def pair(tetX, tmp_path_factory):
 @pytest.fixture(scope="module")
 def documents(pair):
     return [report.to_document([scores]) for scores, path in pair]
+
+
+@pytest.fixture(scope="session")
+def reported(tmp_path_factory):
+    """Scores of all tracks on two sets, and their document; not to be written to."""
+    return report_on(tmp_path_factory.mktemp("reported"))
 
 
 @pytest.fixture

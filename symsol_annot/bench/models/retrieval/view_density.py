@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ive
 
-from symsol_annot.rotations.grid import GridIndex, grid_size
+from symsol_annot.rotations.grid import grid_index, grid_size
 from symsol_annot.rotations.so3 import Rotations, angle_between, rotation_to_quat_wxyz
 
 HYPOTHESES = 30
@@ -77,7 +77,7 @@ class Cells:
     """The equivolumetric grid of a level, and its quaternions."""
 
     def __init__(self, level: int) -> None:
-        self.index = GridIndex(level)
+        self.index = grid_index(level)
         self.quat_wxyz = rotation_to_quat_wxyz(self.index.rotations)
         side = (8.0 * np.pi**2 / grid_size(level)) ** (1.0 / 3.0)  # of a cube of a cell's volume, in rad
         self.blur_rad = side / np.sqrt(12.0)  # the deviation of a uniform distribution on it, along a side

@@ -13,7 +13,7 @@ from symsol_annot.bench.predictions.truth import Truth
 from symsol_annot.bench.scoring.averages import Figure, PerImage
 from symsol_annot.bench.scoring.conventions_tried import ConventionsTried
 from symsol_annot.bench.scoring.metric import Metric
-from symsol_annot.rotations.grid import STANDARD_LEVEL, GridIndex
+from symsol_annot.rotations.grid import STANDARD_LEVEL, GridIndex, grid_index
 from symsol_annot.rotations.so3 import Rotations
 
 ASKED_OTHERWISE = "where it is asked about the rotations R, answer about {code}"
@@ -89,7 +89,7 @@ class GridScorer(Scorer, ABC):
 
     @cached_property
     def _grid(self) -> GridIndex:
-        return GridIndex(self._level)
+        return grid_index(self._level)
 
     def _try_conventions(self, block: Any) -> None:
         """Keep the rotations of the few cells that some images' answers favour, to be tried in other conventions."""

@@ -24,7 +24,7 @@ from symsol_annot.bench.models.networks.rotation_classifier import RotationClass
 from symsol_annot.bench.models.validation import Figures, classifier_figures
 from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
 from symsol_annot.bench.predictions.writing.submission import write_classifier
-from symsol_annot.rotations.grid import STANDARD_LEVEL, GridIndex, equivolumetric_grid, grid_size
+from symsol_annot.rotations.grid import equivolumetric_grid, grid_index, grid_size
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset, Labels
 
@@ -100,7 +100,7 @@ class ClassifierLearner:
     @torch.no_grad()
     def _validation_logits(self, images: Tensor, labels: Labels) -> Iterator["_ValidationLogits"]:
         """Give the logits of each image at its members, and on the grid."""
-        grid, device = _grid_index(), self.model.device
+        grid, device = grid_index(), self.model.device
         radius = _NEAR_RAD if labels.circles is None else _NEAR_CIRCLE_RAD
         sample = np.random.default_rng(0).choice(len(grid), _FAR_SAMPLE, replace=False)
         shares = self.model.shares(torch.from_numpy(grid.rotations[sample]).float().to(device))
@@ -131,11 +131,6 @@ class _ValidationLogits:
         """Return true positives, false positives on the whole grid, and members, with something added to the logits."""
         true, near, far = (int((part + shift > _CLAIM_LOGIT).sum()) for part in (self.members, self.near, self.far))
         return true, near + round(far * self.far_weight), len(self.members)
-
-
-@lru_cache(maxsize=1)
-def _grid_index() -> GridIndex:
-    return GridIndex(STANDARD_LEVEL)
 
 
 class ClassifierMethod:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from symsol_annot.rotations.grid import GridIndex, grid_size
+from symsol_annot.rotations.grid import grid_index, grid_size
 
 _SAME = 6  # decimals to which axes are compared
 
@@ -15,7 +15,7 @@ class Grid:
     """The equivolumetric grid of a level as tensors, and what is found on it."""
 
     def __init__(self, level: int) -> None:
-        self.index = GridIndex(level)
+        self.index = grid_index(level)
         self.level = level
         self.rotations = torch.from_numpy(self.index.rotations).float()
         cell = (8.0 * np.pi**2 / grid_size(level)) ** (1.0 / 3.0)  # the side of a cube of a cell's volume, in rad
