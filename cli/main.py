@@ -30,7 +30,16 @@ _EXAMPLE = example(
 
 
 _GROUPS = {
-    "Make or get a set": ("render", "fetch", "import-object", "import-symsol", "import-bop", "objects", "symmetries", "doctor"),
+    "Make or get a set": (
+        "render",
+        "fetch",
+        "import-object",
+        "import-symsol",
+        "import-bop",
+        "objects",
+        "symmetries",
+        "doctor",
+    ),
     "Look at it": ("info", "verify", "plot", "gallery", "view"),
     "Score a method": (
         "convert",
