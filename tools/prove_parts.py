@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.annotation.symmetry_set import circles_of
-from symsol_annot.annotation.visibility import is_convex
+from symsol_annot.objects.mesh import is_convex
 from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.camera import DEFAULT_SIZE, Camera
 from symsol_annot.rendering.render_process import RenderProcess

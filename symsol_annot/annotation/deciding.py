@@ -29,7 +29,7 @@ def visibility_of(spec: ObjectSpec, camera: Camera, settings: RenderSettings) ->
 
     On a convex body that is where its front is; of parts that stand out of a body, whether they do beside it.
     """
-    if spec.marking is None:
+    if spec.marking is None or spec.mesh.is_marking.all():  # where all parts break the group, each image shows one
         return None
     if is_convex(spec.mesh):
         return MarkingVisibility(spec.mesh, camera, settings)

@@ -200,7 +200,7 @@ def test_a_body_that_is_not_convex_is_annotated_by_drawing(monkeypatch):
     plan = make_plan("tetX")
     of_plan = partial(visibility_of, plan.spec, plan.camera, plan.settings)
     assert of_plan() is not None
-    monkeypatch.setattr("symsol_annot.annotation.visibility.is_convex", lambda mesh: False)
+    monkeypatch.setattr("symsol_annot.annotation.deciding.is_convex", lambda mesh: False)
     assert of_plan() is None
     monkeypatch.undo()
     assert visibility_of(load_object("tet"), plan.camera, plan.settings) is None

@@ -98,11 +98,12 @@ FACES = ("bottom", "top", "front", "back", "left", "right")
 )
 def test_parts_are_named_by_what_an_image_shows_and_in_a_legend(tetX_set, monkeypatch, parts, areas_px, caption):
     sample, drawn = replace(load(tetX_set)[3], part_pixels=np.array(areas_px, np.float32)), []
-    monkeypatch.setattr(plots, "write_figure", lambda figure, _: drawn.append(figure))
+    monkeypatch.setattr(plots, "write_figure", lambda figure, *_, **__: drawn.append(figure))
     contact_sheet([sample], Path("sheet.png"), parts=parts)
     assert drawn[0].axes[1].get_title() == caption
     (legend,) = drawn[0].legends
-    assert [text.get_text() for text in legend.get_texts()] == list(parts.names)
+    marks = ["symmetry set", "drawn at this rotation"]
+    assert [text.get_text() for text in legend.get_texts()] == [*marks, *parts.names]
     colours = [tuple(round(255 * part) for part in patch.get_facecolor()[:3]) for patch in legend.get_patches()]
     assert colours == [tuple(colour) for colour in plots.ID_COLOURS[1 : len(parts.names) + 1].tolist()]
 
