@@ -81,7 +81,11 @@ def test_a_group_that_is_all_that_the_mesh_has_is_accepted_and_named(write, grou
             turned(SOLIDS["mug in one shell"][0], rotations_about((0, 0, 1), np.radians(-3))),
             r"without 40 faces .* circle with half",
         ),
-        (CYCLIC.format(6), SOLIDS["screw with a socket"][0], r"without 12 faces in 1 patch, 9\d% .* more: circle\."),
+        (
+            CYCLIC.format(6),
+            SOLIDS["screw with a socket"][0],
+            r"without 12 faces in 1 patch, 9\d% .* more: C360, nearly",
+        ),
         (DIHEDRAL.format(360), ball(), r"is a ball within .* any rotation leaves it as it is"),
         (DIHEDRAL.format(180), ball(180), r"is a ball within .* any rotation leaves it as it is"),
         (DIHEDRAL.format(360), lathe(CAN, 64), r"not invariant .* has D64 .* or circle with half turns within 0\.00"),
@@ -207,3 +211,15 @@ def test_normals_without_the_symmetries_of_the_surface_are_refused(write):
     lines[face : face + 1] = [*leaning, f"f {a}//1 {b}//2 {c}//3"]
     with pytest.raises(ObjectError, match=r"the shading of the surface .* at \(.*\) .* differs by \d+%"):
         check_object(read_object(write(toml_of(DIHEDRAL.format(6)), "\n".join(lines) + "\n")))
+
+
+def test_the_steps_of_a_circle_have_to_be_the_turns_of_facets_that_show(write):
+    screw = SOLIDS["screw of 64 facets with a socket"][0]
+    vertices = screw[0] + [0.0, 0.0, 0.15]
+    toml = parted_toml([("body", "clay", None)], "of = []\n" + CYCLIC.format(360))
+    mesh = obj_of((vertices, screw[1]), materials=("clay",))
+    with pytest.raises(
+        ObjectError, match=r"declares C360, .* without 12 faces in 1 patch, .* has more: C64, nearly circle"
+    ):
+        check_object(read_object(write(toml, mesh)))
+    assert check_object(read_object(write(toml.replace("order = 360", "order = 64"), mesh))).group.startswith("C2")

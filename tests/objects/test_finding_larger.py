@@ -54,6 +54,24 @@ def test_what_is_left_without_a_handle_or_a_socket_has_a_larger_group(name, grou
     )  # some are as small as the points are far
 
 
+@pytest.mark.parametrize(
+    ("name", "group"), [("screw with a socket", "C360"), ("screw of 64 facets with a socket", "C64")]
+)
+def test_what_is_round_by_facets_has_their_group_without_the_patch(name, group):
+    (larger,) = find_symmetries(surface_of(SOLIDS[name][0])).larger
+    assert (larger.group.name, larger.as_it_is.name) == ("circle", group)
+
+
+def test_half_turns_of_facets_are_about_their_corners():
+    (larger,) = find_symmetries(surface_of(SOLIDS["mug in one shell"][0])).larger
+    assert larger.as_it_is.name == "D360"
+    corners = SOLIDS["mug in one shell"][0][0]
+    kept = corners[np.abs(np.hypot(corners[:, 0], corners[:, 1]) - 0.7) < 1e-9]
+    flipped = kept @ larger.as_it_is.rotations[360].T
+    nearest = np.linalg.norm(flipped[:, None] - corners, axis=-1).min(axis=1)
+    assert np.median(nearest) < 1e-4
+
+
 @pytest.mark.parametrize("name", ["cube with a bump", "bar without a corner"])
 def test_a_larger_group_of_flat_faces_turns_with_the_mesh(name):
     solid = SOLIDS[name][0]

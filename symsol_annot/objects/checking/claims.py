@@ -71,7 +71,9 @@ def refuse_other_group(spec: ObjectSpec, found: Symmetries) -> None:
     ):
         raise ObjectError(_too_small(spec, found))
     for larger in found.larger:
-        if not any(_has_all(spec, group, larger.centre) for group in (larger.as_it_is, larger.group)):
+        is_round = larger.residual <= max(found.tolerance, spec.max_offset)
+        groups = (larger.as_it_is, larger.group) if is_round else (larger.as_it_is,)
+        if not any(_has_all(spec, group, larger.centre) for group in groups):
             raise ObjectError(_larger_behind_faces(spec, larger))
 
 

@@ -7,6 +7,7 @@ having a finite group.
 """
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.distances import SurfaceDistance
@@ -24,11 +25,14 @@ from symsol_annot.objects.finding.patched import off_flat_faces
 from symsol_annot.objects.finding.revolution import Revolution, revolutions
 from symsol_annot.objects.finding.roundness import roundness
 from symsol_annot.objects.finding.surface import Flags, Points, Surface
-from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.rotations.so3 import Rotations, rotations_about
 
 NOT_LOOKED_FOR = ("finite groups of what is left of a connected surface that is mostly curved",)
 _MOST_SETS = 10  # of components that are taken away, one by one
 _CAMERAS = 400
+_ONE_TURN = 1e-4  # rad: vertices that are less apart stand above each other
+_MOST_FACETS = 3600
+_UNEVEN = 0.02  # steps that a facet may be off
 _LEAST_LEFT = 0.5  # of the area: what is less does not dominate
 
 
@@ -133,7 +137,42 @@ def _without_patches(surface: Surface, axis: Revolution, shape: CertifiedGroup) 
     if not _is_larger(group, centre, shape, radius) or _shows_its_border(surface, taken, centre, 4 * radius, frame):
         return None
     what = f"{np.count_nonzero(taken)} faces in {_patches(surface, taken)}"
-    return LargerGroup(group, group, centre, surface.source[taken], what, area_left, axis.deviation)
+    as_it_is = _of_facets(surface, taken, centre, group)
+    return LargerGroup(group, as_it_is, centre, surface.source[taken], what, area_left, axis.deviation)
+
+
+def _of_facets(surface: Surface, taken: Flags, centre: Points, circle: Group) -> Group:
+    """Return the finite group of what is round about an axis but for its facets; the circle where they are uneven.
+
+    Args:
+        surface: the whole.
+        taken: (T,) the triangles that are taken away, whose corners are no facets'.
+        centre: (3,) on the axis.
+        circle: with or without half turns.
+    """
+    kept = np.setdiff1d(surface.triangles[~taken], surface.triangles[taken])
+    points = (surface.vertices[kept] - centre) @ circle.frame
+    off_axis = np.hypot(points[:, 0], points[:, 1])
+    turns = np.sort(np.arctan2(points[:, 1], points[:, 0])[off_axis > 0.1 * off_axis.max()])
+    steps = np.diff(turns)
+    steps = steps[steps > _ONE_TURN]
+    if not len(steps):
+        return circle
+    order = round(2 * np.pi / float(np.median(steps)))
+    places = (turns - turns[0]) * order / (2 * np.pi)
+    if not 3 <= order <= _MOST_FACETS or np.abs(places - places.round()).max() > _UNEVEN:
+        return circle
+    if circle.kind == CIRCLE:
+        return Group("cyclic", order, circle.frame)
+    tree = cKDTree(points)
+    best, least = circle, np.inf
+    for phase in turns[0] + np.arange(2) * np.pi / (2 * order):  # half turns about a corner, or about a side
+        frame = rotations_about((0, 0, 1), phase)
+        flipped = points @ (frame @ np.diag([1.0, -1.0, -1.0]) @ frame.T).T
+        off = float(np.median(tree.query(flipped)[0]))
+        if off < least:
+            best, least = Group("dihedral", order, circle.frame @ frame), off
+    return best
 
 
 def _shows_its_border(surface: Surface, taken: Flags, centre: Points, distance: float, frame: Rotations) -> bool:
