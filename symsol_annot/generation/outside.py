@@ -1,8 +1,8 @@
 """Rotations outside of the group that an object declares, for an audit to draw.
 
 A set is made from candidates of the declared group alone. If the mesh has more symmetries, its pictures do not show it,
-unless rotations that nobody declared are drawn as well: those of the group that is found from the mesh, as it is, as it
-nearly is, and as it is without some faces; and random ones near the members.
+unless rotations that nobody declared are drawn as well: those of the group that is found from the mesh, as it is and as
+it is without some faces; and random ones near the members.
 """
 
 import numpy as np
@@ -32,8 +32,8 @@ def found_outside(spec: ObjectSpec) -> tuple[Rotations, tuple[str, ...]]:
         found = find_in_shell(spec, shell_of(spec))
     except ObjectError as error:
         return np.zeros((0, 3, 3)), (str(error),)
-    groups = [(found.object, found.shape.centre), *((one.group, one.centre) for one in found.larger)]
-    if found.roundness is not None:
+    groups = [(found.object, found.shape.centre), *((one.as_it_is, one.centre) for one in found.larger)]
+    if found.roundness is not None and found.roundness.deviation <= found.tolerance:
         groups.append((found.roundness.group, found.shape.centre))
     missing = []
     for group, centre in groups:

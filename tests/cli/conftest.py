@@ -22,8 +22,8 @@ def rendered(tmp_path_factory):
 @pytest.fixture
 def mug(tmp_path):
     """An object of one's own: the marked tetrahedron under another name."""
-    folder = Path(shutil.copytree(str(resources.files("symsol_annot_assets") / "tetX"), tmp_path / "mug"))
-    edit(folder / "object.toml", 'name = "tetX"', 'name = "mug"')
+    folder = Path(shutil.copytree(str(resources.files("symsol_annot_assets") / "tetX"), tmp_path / "flask"))
+    edit(folder / "object.toml", 'name = "tetX"', 'name = "flask"')
     return folder
 
 

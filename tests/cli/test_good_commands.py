@@ -110,7 +110,7 @@ def test_an_object_of_ones_own_is_rendered_and_audited_by_its_path(mug, tmp_path
     made = symsol("render", "--object", mug, *counts, "--out", tmp_path / "data")
     assert made.returncode == 0
     assert re.fullmatch(r"the mesh has T, within \S+ of its radius\nnot looked for: .*\n", made.stderr)
-    sample = symsol_annot.load(tmp_path / "data" / "mug", "train")[2]
+    sample = symsol_annot.load(tmp_path / "data" / "flask", "train")[2]
     assert len(sample.symmetry_set) in {3, 6, 9}
     audited = symsol("verify", tmp_path / "data", "--audit", "2", "--object", mug)
     assert (audited.returncode, audited.stderr) == (0, "")

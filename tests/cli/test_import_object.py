@@ -113,16 +113,16 @@ def test_render_of_a_mesh_file_that_is_not_there_names_it(tmp_path, monkeypatch)
 
 @pytest.mark.blender
 def test_a_mesh_file_is_drawn_in_one_command_and_its_set_can_be_audited_and_resumed(tmp_path):
-    (tmp_path / "mug.stl").write_bytes(mesh_bytes(moved(mug()), "stl"))
-    words = ("render", "--object", "mug.stl", "--train", "0", "--size", "32", "--workers", "1", "--test", "2")
+    (tmp_path / "cup.stl").write_bytes(mesh_bytes(moved(mug()), "stl"))
+    words = ("render", "--object", "cup.stl", "--train", "0", "--size", "32", "--workers", "1", "--test", "2")
     done = symsol(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "is kept in data/mug/object" in done.stdout
-    audited = symsol("verify", "data/mug", "--audit", "1", cwd=tmp_path)
+    assert "is kept in data/cup/object" in done.stdout
+    audited = symsol("verify", "data/cup", "--audit", "1", cwd=tmp_path)
     assert audited.returncode == 0, audited.stdout + audited.stderr
-    assert len(symsol_annot.load(tmp_path / "data" / "mug", "test")) == 2
+    assert len(symsol_annot.load(tmp_path / "data" / "cup", "test")) == 2
     assert symsol(*words, cwd=tmp_path).returncode == 0
-    (tmp_path / "data" / "mug" / "object" / "mesh.obj").write_text("mine")
+    (tmp_path / "data" / "cup" / "object" / "mesh.obj").write_text("mine")
     refused = symsol(*words, cwd=tmp_path)
     assert refused.returncode == 1
     assert "is not the object of this set" in refused.stderr
@@ -130,8 +130,8 @@ def test_a_mesh_file_is_drawn_in_one_command_and_its_set_can_be_audited_and_resu
 
 @pytest.mark.blender
 def test_the_picture_shows_every_part_of_the_object(tmp_path):
-    (tmp_path / "mug.stl").write_bytes(mesh_bytes(moved(mug()), "stl"))
-    assert symsol("import-object", "mug.stl", "--out", "mug", cwd=tmp_path).returncode == 0
+    (tmp_path / "cup.stl").write_bytes(mesh_bytes(moved(mug()), "stl"))
+    assert symsol("import-object", "cup.stl", "--out", "mug", cwd=tmp_path).returncode == 0
     with Image.open(tmp_path / "mug" / "views.png") as image:
         pixels = np.asarray(image)
     assert pixels.shape == (4 * 192 + 6, 4 * 192 + 18, 3)

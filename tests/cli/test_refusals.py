@@ -114,7 +114,7 @@ def test_an_object_without_its_declared_symmetry_is_refused_before_blender_start
     edit(mug / "object.toml", "axis = [1, 1, 1]", "axis = [1, -1, -1]")
     done = here("render", *TINY_SET, "--object", mug, "--out", tmp_path / "data")
     assert done.returncode == 1
-    assert "marking.stabiliser moves the marking of 'mug'" in done.stderr
+    assert "marking.stabiliser moves the marking of 'flask'" in done.stderr
     assert not (tmp_path / "data").exists()
 
 
@@ -141,7 +141,7 @@ def test_another_set_in_the_folder_is_told_apart_and_left_alone(here, tetX_set, 
 
 
 def test_a_set_of_another_object_of_the_same_name_is_told_apart_and_left_alone(tetX_set, mug, tmp_path):
-    edit(mug / "object.toml", 'name = "mug"', 'name = "tetX"')
+    edit(mug / "object.toml", 'name = "flask"', 'name = "tetX"')
     edit(mug / "object.toml", "title = ", "title = 'mine' # ")
     before = contents(tetX_set)
     done = symsol("render", *NUMPY_SET, "--object", mug, "--out", tmp_path)

@@ -64,12 +64,12 @@ def index(gallery):
 def mugs(tmp_path_factory):
     """Two objects of one name, neither of them built in, and a set of the first; all of them draw like tetX."""
     place = tmp_path_factory.mktemp("mugs")
-    for folder, title in (("mug", "a mug"), ("other", "another mug")):
+    for folder, title in (("flask", "a flask"), ("other", "another flask")):
         shutil.copytree(load_object("tetX").folder, place / folder)
         text = (place / folder / "object.toml").read_text()
-        text = text.replace('name = "tetX"', 'name = "mug"').replace("regular tetrahedron", title)
+        text = text.replace('name = "tetX"', 'name = "flask"').replace("regular tetrahedron", title)
         (place / folder / "object.toml").write_text(text)
     generate(
-        make_plan(str(place / "mug"), test=3, size=SIZE), place / "set", threads(partial(NumpyRenderer, "tetX", SIZE))
+        make_plan(str(place / "flask"), test=3, size=SIZE), place / "set", threads(partial(NumpyRenderer, "tetX", SIZE))
     )
     return place

@@ -72,7 +72,7 @@ def test_without_a_renderer_the_page_says_why(data, tmp_path):
 
 def test_a_set_of_an_unknown_or_changed_object_is_shown_without_drawing(data, tmp_path):
     for change, reason in (
-        ({"object": "mug"}, "not built in"),
+        ({"object": "flask"}, "not built in"),
         ({"object_sha256": "0" * 64}, "another tetX"),
     ):
         source = open_sources(data / "tetX")[0]
@@ -90,12 +90,12 @@ def test_an_object_that_is_not_built_in_is_drawn_by_what_was_given_if_it_is_the_
         drawn.append(spec.digest)
         return NumpyRenderer("tetX", camera.width)
 
-    mug, other = (load_object(str(mugs / name)) for name in ("mug", "other"))
+    mug, other = (load_object(str(mugs / name)) for name in ("flask", "other"))
     redrawer = Redrawer(source, [], 2, given=mug, open_renderer=open_renderer)
     assert (redrawer.missing, redrawer.images) == ("", (0, 2))
     assert drawn == [mug.digest]
     assert all(drawing.differing_px == 0 for drawing in redrawer.draw(source.dataset[0]) if drawing.is_member)
-    for given, reason in ((None, "is not built in"), (other, "was made from another mug")):
+    for given, reason in ((None, "is not built in"), (other, "was made from another flask")):
         redrawer = Redrawer(source, [], 2, given=given, open_renderer=open_renderer)
         assert reason in redrawer.missing
         assert redrawer.images == ()
