@@ -21,7 +21,7 @@ def test_the_command_writes_the_folder_and_says_where(here, data, preds, tmp_pat
     assert here("gallery", data, "--split", "validation").returncode == 2
 
 
-@pytest.mark.parametrize(("name", "reason"), [("mug", ""), ("other", "was made from another mug")])
+@pytest.mark.parametrize(("name", "reason"), [("flask", ""), ("other", "was made from another flask")])
 def test_the_command_draws_with_the_object_that_it_is_given(monkeypatch, here, mugs, tmp_path, name, reason):
     drawn_by_numpy = partial(Redrawer, open_renderer=lambda spec, camera, settings: NumpyRenderer("tetX", camera.width))
     monkeypatch.setattr("symsol_annot_cli.gallery.Redrawer", drawn_by_numpy)
