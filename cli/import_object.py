@@ -5,7 +5,7 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
-from symsol_annot_cli.parameters import NearChoice, example
+from symsol_annot_cli.parameters import TOLERANCE, NearChoice, example
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.errors import RenderError
@@ -18,7 +18,6 @@ if TYPE_CHECKING:  # these take scipy
 
 SHEET_NAME = "views.png"
 _PARTS = ("auto", "material", "colour", "node", "component", "none")  # as objects.importing.parting has them
-_DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while to import
 
 
 @click.command(
@@ -41,13 +40,7 @@ _DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while
     "components where the group needs it.",
 )
 @click.option("--body", help="Which part is the body, whose symmetries are found.  [default: the largest by area]")
-@click.option(
-    "--tolerance",
-    type=click.FloatRange(1e-9, 0.05),
-    default=_DEFAULT_TOLERANCE,
-    show_default=True,
-    help="How far a symmetry may carry a point from the surface, as a part of the mesh's radius.",
-)
+@TOLERANCE
 @click.option(
     "--round-within",
     type=click.FloatRange(0, 0.018),

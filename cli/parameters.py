@@ -157,3 +157,13 @@ def progress_bar(total: int | None, unit: str, done: int = 0, *, scaled: bool = 
         dynamic_ncols=True,
         smoothing=0.05,
     )
+
+
+_DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while to import
+TOLERANCE = click.option(
+    "--tolerance",
+    type=click.FloatRange(1e-9, 0.05),
+    default=_DEFAULT_TOLERANCE,
+    show_default=True,
+    help="How far a symmetry may carry a point from the surface, as a part of the mesh's radius.",
+)

@@ -5,13 +5,11 @@ from pathlib import Path
 
 import click
 from symsol_annot_cli.import_object import object_name, write_import
-from symsol_annot_cli.parameters import example, is_mesh_name
+from symsol_annot_cli.parameters import TOLERANCE, example, is_mesh_name
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.system.files import write_atomically
-
-_DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while to import
 
 
 @click.command(
@@ -20,13 +18,7 @@ _DEFAULT_TOLERANCE = 1e-4  # as objects.finding.find has it, which takes a while
     )
 )
 @click.argument("mesh")
-@click.option(
-    "--tolerance",
-    type=click.FloatRange(1e-9, 0.05),
-    default=_DEFAULT_TOLERANCE,
-    show_default=True,
-    help="How far a symmetry may carry a point from the surface, as a part of the mesh's radius.",
-)
+@TOLERANCE
 @click.option(
     "--round-within",
     type=click.FloatRange(0, 0.02),
