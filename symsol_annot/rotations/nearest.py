@@ -58,6 +58,11 @@ def _angles(R_a: Rotations, R_b: Rotations, squared: npt.NDArray[np.float64]) ->
     for start in range(0, len(close[0]), step):
         at = tuple(axis[start : start + step] for axis in close)
         squared[at] = np.square(R_a[at][:, None] - R_b[at[:-1]]).sum(axis=(-2, -1)).min(axis=-1)
+    return _angle_of_squared(squared)
+
+
+def _angle_of_squared(squared: npt.NDArray[np.float64]) -> Angles:
+    """Return eq. 5.6 of squared Frobenius distances."""
     angles: Angles = 2.0 * np.arcsin(np.minimum(np.sqrt(squared) / (2.0 * np.sqrt(2.0)), 1.0))
     return angles
 
@@ -130,32 +135,49 @@ def nearest_angles_on_circles(
     """Return what `nearest_angles(R_other, members)` does, in time that does not grow with the set.
 
     On one circle the distance grows with the turn away from the circle's nearest point, so that the nearest member
-    is the first to its left or to its right.
+    is the first to its left or to its right. The trace of R_m^T X of a member R_m = start Rot(axis, phi) is
+    a cos(phi) + b sin(phi) + c, and |R_m - X|^2 = 3 + |X|^2 - 2 trace.
     """
-    starts = R @ circles.starts
-    turn = _turns_to_nearest(circles, starts, R_other)
-    best = np.full(len(R_other), np.inf)
+    starts, steps = R @ circles.starts, circles.index.shape[1]
+    on_axis, cosine, sine = _traces(circles, starts, R_other)
+    turns = rotations_about(circles.axis, np.arange(steps) * circles.step_rad)
+    cos, sin = np.cos(np.arange(steps) * circles.step_rad), np.sin(np.arange(steps) * circles.step_rad)
+    best, nearest = np.full(len(R_other), -np.inf), np.zeros(len(R_other), dtype=np.intp)
     for c, row in enumerate(circles.index):
         if mask[row].any():
+            gap = np.floor(np.arctan2(sine[c], cosine[c]) / circles.step_rad).astype(np.intp) % steps
             for neighbour in _neighbours(mask[row]):
-                element = neighbour[np.floor(turn[:, c]).astype(int) % len(row)]
-                members = starts[c] @ rotations_about(circles.axis, np.arange(len(row)) * circles.step_rad)
-                np.minimum(best, angle_between(R_other, members[element]), out=best)
-    return best
+                trace = cosine[c] * cos[neighbour][gap] + sine[c] * sin[neighbour][gap] + on_axis[c]
+                is_nearer = trace > best
+                np.copyto(best, trace, where=is_nearer)
+                np.copyto(nearest, c * steps + neighbour[gap], where=is_nearer)
+    squared = np.maximum(3.0 + np.square(R_other).sum(axis=(-2, -1)) - 2.0 * best, 0.0)
+    close = np.flatnonzero(squared < _CLOSE_SQUARED)
+    members = starts[nearest[close] // steps] @ turns[nearest[close] % steps]
+    squared[close] = np.square(R_other[close] - members).sum(axis=(-2, -1))
+    return _angle_of_squared(squared)
 
 
 def _turns_to_nearest(circles: Circles, starts: Rotations, R_other: Rotations) -> npt.NDArray[np.float64]:
     """Return where on each whole circle the point nearest to R_other (m, 3, 3) lies, in steps: (m, c) in [0, n).
 
-    <start Rot(axis, phi), X> = a cos(phi) + b sin(phi) + c, largest at phi = atan2(b, a).
+    It is where a cos(phi) + b sin(phi) + c is largest: at phi = atan2(b, a).
     """
+    _, cosine, sine = _traces(circles, starts, R_other)
+    turn: npt.NDArray[np.float64] = np.arctan2(sine, cosine).T / circles.step_rad
+    return turn % circles.index.shape[1]
+
+
+def _traces(
+    circles: Circles, starts: Rotations, R_other: Rotations
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return c, a and b, each (circles, m), of the traces of (start Rot(axis, phi))^T X for X in R_other (m, 3, 3)."""
     n = circles.axis
     cross = np.array([[0.0, -n[2], n[1]], [n[2], 0.0, -n[0]], [-n[1], n[0], 0.0]])
-    cosine = (starts @ (np.eye(3) - np.outer(n, n))).reshape(-1, 9)
-    sine = (starts @ cross).reshape(-1, 9)
-    X = R_other.reshape(-1, 9)
-    turn: npt.NDArray[np.float64] = np.arctan2(X @ sine.T, X @ cosine.T) / circles.step_rad
-    return turn % circles.index.shape[1]
+    along = np.outer(n, n)
+    of_starts = np.stack([starts @ along, starts @ (np.eye(3) - along), starts @ cross]).reshape(-1, 9)
+    on_axis, cosine, sine = (of_starts @ R_other.reshape(-1, 9).T).reshape(3, len(starts), len(R_other))
+    return on_axis, cosine, sine
 
 
 def _neighbours(on_circle: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
