@@ -6,7 +6,7 @@ import click
 from symsol_annot_cli.parameters import example
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.scoring import comparison
+from symsol_annot.bench.scoring.reports import comparison
 
 
 @click.command(epilog=example("symsol-annot compare ours.json reference/truth.json"))

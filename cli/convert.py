@@ -19,7 +19,7 @@ from symsol_annot.bench.predictions.foreign.files import read_arrays
 from symsol_annot.bench.predictions.foreign.forms import FORMS, ORDERS
 from symsol_annot.bench.predictions.foreign.frames import FRAMES
 from symsol_annot.bench.predictions.tracks.table import TRACKS
-from symsol_annot.bench.scoring.foreign import split_of
+from symsol_annot.bench.scoring.memory.foreign import split_of
 from symsol_annot.errors import PredictionsError, WeightsError
 from symsol_annot.sets.dataset import Dataset
 from symsol_annot.system.machine import check_extra

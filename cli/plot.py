@@ -10,8 +10,8 @@ from symsol_annot_cli.terminal import say
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
 from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.bench.predictions.truth import find_set
-from symsol_annot.bench.scoring import curves as score_plots
-from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.reports import curves as score_plots
+from symsol_annot.bench.scoring.reports.report import STRATA
 from symsol_annot.plotting.contact_sheet import contact_sheet
 from symsol_annot.plotting.rotations import KINDS, plot_sets
 from symsol_annot.rotations.so3 import Rotations

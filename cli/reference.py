@@ -6,9 +6,9 @@ import click
 from symsol_annot_cli.parameters import DECIMALS, SPLIT, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.scoring import tables
 from symsol_annot.bench.scoring.reference import ROWS, score_row
-from symsol_annot.bench.scoring.scores_file import write_scores
+from symsol_annot.bench.scoring.reports import tables
+from symsol_annot.bench.scoring.reports.scores_file import write_scores
 from symsol_annot.sets import dataset
 from symsol_annot.system.files import make_folder
 from symsol_annot.system.scratch import Scratch, sweep, temporary_errors

@@ -7,9 +7,9 @@ from symsol_annot_cli.parameters import DATA, DECIMALS, PREDICTIONS, example, pr
 from symsol_annot_cli.terminal import say
 
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
-from symsol_annot.bench.scoring import report, tables
-from symsol_annot.bench.scoring.foreign import score_npz
-from symsol_annot.bench.scoring.scores_file import write_scores
+from symsol_annot.bench.scoring.memory.foreign import score_npz
+from symsol_annot.bench.scoring.reports import report, tables
+from symsol_annot.bench.scoring.reports.scores_file import write_scores
 from symsol_annot.bench.scoring.scoring import score as score_predictions
 from symsol_annot.errors import printable
 from symsol_annot.system.files import write_atomically

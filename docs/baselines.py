@@ -27,7 +27,7 @@ from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE, read_record
 from symsol_annot.bench.models.training.record import TrainingRecord
 from symsol_annot.bench.scoring.metric import LEAST_DECIMALS
-from symsol_annot.bench.scoring.scores_file import read_scores, write_scores
+from symsol_annot.bench.scoring.reports.scores_file import read_scores, write_scores
 from symsol_annot.errors import DataError, SymsolError
 from symsol_annot.objects.spec import load_object
 from symsol_annot.sets.dataset import load

@@ -15,8 +15,8 @@ from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.dataset import Sample
-from symsol_annot.sets.equality import PartsOfSet
 from symsol_annot.sets.plan import label_rotation
+from symsol_annot.sets.stated.equality import PartsOfSet
 
 IMAGES = {
     "mug": (0, 1, 4, 5),  # the handle in view, out of sight, by a sliver, from above

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from symsol_annot.bench.scoring.in_memory import score
+    from symsol_annot.bench.scoring.memory.in_memory import score
     from symsol_annot.errors import SymsolError
     from symsol_annot.sets.dataset import Dataset, Sample, load
     from symsol_annot.sets.epoch_order import shuffled_order
@@ -25,7 +25,7 @@ _HOMES = {
     "SymsolError": "symsol_annot.errors",
     "load": "symsol_annot.sets.dataset",
     "load_sample": "symsol_annot.sets.sample_set",
-    "score": "symsol_annot.bench.scoring.in_memory",
+    "score": "symsol_annot.bench.scoring.memory.in_memory",
     "shuffled_order": "symsol_annot.sets.epoch_order",
 }
 

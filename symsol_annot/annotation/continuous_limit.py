@@ -12,7 +12,7 @@ from functools import lru_cache, partial
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.finding.distances import SurfaceDistance
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance
 from symsol_annot.objects.mesh import Mesh
 from symsol_annot.objects.surface import SURFACE_TOLERANCE
 from symsol_annot.rendering.camera import Camera

@@ -15,7 +15,13 @@ from pathlib import Path
 from typing import BinaryIO
 
 from symsol_annot.errors import DataError, first_of
-from symsol_annot.sets.manifest import MANIFEST_NAME, MAX_MANIFEST_BYTES, Manifest, manifest_from_bytes, read_manifest
+from symsol_annot.sets.manifest import (
+    MANIFEST_NAME,
+    MAX_MANIFEST_BYTES,
+    Manifest,
+    manifest_from_bytes,
+    read_manifest,
+)
 from symsol_annot.system.reading import file_sha256, open_regular
 
 ARCHIVE_ENDING = ".tar"

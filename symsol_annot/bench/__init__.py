@@ -4,12 +4,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from symsol_annot.bench.scoring.running import Metric
-    from symsol_annot.bench.scoring.scores import Scores
+    from symsol_annot.bench.scoring.memory.running import Metric
+    from symsol_annot.bench.scoring.memory.scores import Scores
 
 __all__ = ["Metric", "Scores"]
 
-_HOMES = {"Metric": "symsol_annot.bench.scoring.running", "Scores": "symsol_annot.bench.scoring.scores"}
+_HOMES = {"Metric": "symsol_annot.bench.scoring.memory.running", "Scores": "symsol_annot.bench.scoring.memory.scores"}
 
 
 def __getattr__(name: str) -> Any:

@@ -14,7 +14,7 @@ from symsol_annot.generation.origin import object_behind
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset, load
-from symsol_annot.sets.settings import RenderedSettings
+from symsol_annot.sets.stated.settings import RenderedSettings
 from symsol_annot.system.files import new_folder
 from symsol_annot.system.locks import held_folder
 

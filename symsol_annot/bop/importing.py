@@ -31,8 +31,8 @@ from symsol_annot.rendering.camera import DEFAULT_SIZE, SIZE_RANGE
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.manifest import Manifest, ShardEntry
 from symsol_annot.sets.plan import division_into_shards
-from symsol_annot.sets.settings import BOP_SOURCE, ImportedSettings, Source
 from symsol_annot.sets.shard.writer import ShardFile, ShardWriter, storage_versions
+from symsol_annot.sets.stated.settings import BOP_SOURCE, ImportedSettings, Source
 from symsol_annot.system.locks import held_folder
 from symsol_annot.system.progress import OnImages, ignore_images
 from symsol_annot.system.reading import file_sha256, read_bytes

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from symsol_annot.plotting.canvas import colour_patch, label_text, legend_below, new_figure, write_figure
 from symsol_annot.plotting.rotations import draw_pi_ball, marks_of_sets, size_text
 from symsol_annot.sets.dataset import Sample
-from symsol_annot.sets.equality import PartsOfSet
+from symsol_annot.sets.stated.equality import PartsOfSet
 
 _THESIS_COLOURS = ((0, 0, 0), (140, 30, 30), (240, 128, 128))  # as in figure 5.2
 _GOLDEN = (5**0.5 - 1.0) / 2.0  # of a turn of the hue from one id to the next

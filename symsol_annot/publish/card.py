@@ -10,7 +10,7 @@ from symsol_annot.publish.citation import bibtex
 from symsol_annot.publish.croissant import GROUPS_NAME
 from symsol_annot.publish.figures import Figures, SplitFigures
 from symsol_annot.publish.sets import GROUPS_CONFIG, PublishedSet
-from symsol_annot.sets.equality import PartsOfSet
+from symsol_annot.sets.stated.equality import PartsOfSet
 from symsol_annot.sets.statistics import sizes_in_words
 from symsol_annot.system.text.markdown import escaped, fenced
 

@@ -16,7 +16,7 @@ from typing import Any
 from symsol_annot.errors import SealError, SettingsError, output_errors
 from symsol_annot.sets.manifest import Manifest, ShardEntry
 from symsol_annot.sets.plan import division_into_shards
-from symsol_annot.sets.settings import (
+from symsol_annot.sets.stated.settings import (
     MAX_SECRET_SEED,
     SECRET_SEED_BITS,
     RenderedSettings,

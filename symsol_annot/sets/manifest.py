@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from symsol_annot.errors import DataError, SettingsError
-from symsol_annot.sets.settings import (
+from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, ShardHeader, shard_file_name
+from symsol_annot.sets.shard.layout import LAYOUTS, NEWEST
+from symsol_annot.sets.stated.settings import (
     ImportedSettings,
     RenderedSettings,
     SealedSettings,
@@ -21,8 +23,6 @@ from symsol_annot.sets.settings import (
     is_whole,
     settings_from_json,
 )
-from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, ShardHeader, shard_file_name
-from symsol_annot.sets.shard.layout import LAYOUTS, NEWEST
 from symsol_annot.system.files import write_atomically
 from symsol_annot.system.reading import read_bytes
 from symsol_annot.system.text.names import SPLITS

@@ -19,8 +19,8 @@ from symsol_annot.importing.set_writing import is_whole, manifest_there, place_o
 from symsol_annot.rotations.so3 import Rotations, nearest_rotations, rotation_deviation
 from symsol_annot.sets.manifest import Manifest, ShardEntry
 from symsol_annot.sets.plan import division_into_shards
-from symsol_annot.sets.settings import ImportedSettings, Source
 from symsol_annot.sets.shard.writer import ShardFile, ShardWriter, storage_versions
+from symsol_annot.sets.stated.settings import ImportedSettings, Source
 from symsol_annot.symsol.listed_groups import SAME_RAD, ListedGroup, listed_group
 from symsol_annot.symsol.zip_reader import SymsolZip
 from symsol_annot.system.locks import held_folder

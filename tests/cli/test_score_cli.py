@@ -19,9 +19,9 @@ import symsol_annot_cli.reference
 from score_commands import COMMAND, IMAGES, symsol
 
 from symsol_annot.bench.predictions.queries import Queries
-from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.reference import ROWS, score_row
-from symsol_annot.bench.scoring.scores_file import read_scores
+from symsol_annot.bench.scoring.reports import report, tables
+from symsol_annot.bench.scoring.reports.scores_file import read_scores
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.rotations.grid import equivolumetric_grid, grid_sha256
 

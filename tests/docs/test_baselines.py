@@ -17,7 +17,7 @@ from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.bench.leaderboard.rows import tables_of
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
-from symsol_annot.bench.scoring.scores_file import read_scores, write_scores
+from symsol_annot.bench.scoring.reports.scores_file import read_scores, write_scores
 from symsol_annot.errors import WeightsError
 
 RECIPE = "small-wta"

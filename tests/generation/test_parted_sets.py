@@ -21,11 +21,11 @@ from symsol_annot.plotting.contact_sheet import contact_sheet
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sealing.making import seal
-from symsol_annot.sets.equality import equality_stated
 from symsol_annot.sets.manifest import read_manifest
 from symsol_annot.sets.membership import checked_shard
 from symsol_annot.sets.plan import SetPlan
 from symsol_annot.sets.shard.laws import label_faults
+from symsol_annot.sets.stated.equality import equality_stated
 from symsol_annot.sets.verify import verify
 
 IMAGES = 12

@@ -16,7 +16,7 @@ from symsol_annot.plotting import contact_sheet as plots
 from symsol_annot.plotting.canvas import label_text, new_figure, write_figure
 from symsol_annot.plotting.contact_sheet import contact_sheet
 from symsol_annot.sets.dataset import Sample
-from symsol_annot.sets.equality import PartsOfSet
+from symsol_annot.sets.stated.equality import PartsOfSet
 
 
 def pixels_of(path):

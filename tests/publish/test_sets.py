@@ -6,7 +6,7 @@ from bundles import assert_refused
 
 from symsol_annot.errors import DataError
 from symsol_annot.sets.manifest import read_manifest, write_manifest
-from symsol_annot.sets.settings import ImportedSettings, Source
+from symsol_annot.sets.stated.settings import ImportedSettings, Source
 
 
 def test_an_unfinished_set_is_refused(tetX_set, tmp_path):

@@ -20,11 +20,11 @@ from symsol_annot.rotations.groups import cyclic_group, dihedral_group, tetrahed
 from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.dataset import load
 from symsol_annot.sets.manifest import read_manifest, write_manifest
-from symsol_annot.sets.settings import RenderedSettings
 from symsol_annot.sets.shard.header import ShardHeader
 from symsol_annot.sets.shard.laws import label_faults
 from symsol_annot.sets.shard.reader import open_shard
 from symsol_annot.sets.shard.writer import ImageRecord, ShardWriter
+from symsol_annot.sets.stated.settings import RenderedSettings
 from symsol_annot.sets.statistics import split_statistics
 from symsol_annot.sets.verify import verify
 from symsol_annot.symsol.importing import import_symsol

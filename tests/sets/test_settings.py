@@ -14,8 +14,8 @@ from symsol_annot.generation.origin import plan_behind
 from symsol_annot.objects.spec import load_object
 from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.sets.plan import SetPlan
-from symsol_annot.sets.settings import ImportedSettings, Source, settings_from_json
 from symsol_annot.sets.shard.reader import open_shard
+from symsol_annot.sets.stated.settings import ImportedSettings, Source, settings_from_json
 from symsol_annot.symsol.importing import import_symsol
 
 SOURCE = Source("SYMSOL", "0" * 64, "unknown", transposed=True, rotations_listed=720, duplicates_removed=2)

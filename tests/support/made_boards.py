@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from symsol_annot.bench.leaderboard.page import to_markdown
 from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_hypotheses
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.reports import report
 from symsol_annot.bench.scoring.scoring import score_file
 
 ROOT = Path(__file__).resolve().parents[2]

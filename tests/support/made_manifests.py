@@ -7,7 +7,7 @@ from dataclasses import replace
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.manifest import Manifest, ShardEntry
-from symsol_annot.sets.settings import RenderedSettings
+from symsol_annot.sets.stated.settings import RenderedSettings
 
 SETTINGS = RenderedSettings(
     object="mug",

@@ -9,10 +9,10 @@ from symsol_annot.errors import DataError
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.renderer import View
 from symsol_annot.rendering.settings import RenderSettings
-from symsol_annot.sets.settings import RenderedSettings
 from symsol_annot.sets.shard.header import ShardHeader
 from symsol_annot.sets.shard.reader import open_shard
 from symsol_annot.sets.shard.writer import ImageRecord, ShardWriter
+from symsol_annot.sets.stated.settings import RenderedSettings
 
 PICTURES = ("image", "segmentation", "depth")  # a row per chunk
 COUNT, HEIGHT, WIDTH = 5, 12, 16  # not square, so that height and width cannot be swapped

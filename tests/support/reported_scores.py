@@ -6,7 +6,7 @@ import numpy as np
 from bench_sets import small_set
 
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.reports import report
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.rotations.so3 import uniform_rotations
 

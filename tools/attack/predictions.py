@@ -43,7 +43,7 @@ class Predictions(Kind):
 
     def _score(self, path):
         from symsol_annot.bench.predictions.predictions_reader import open_predictions
-        from symsol_annot.bench.scoring import report, tables
+        from symsol_annot.bench.scoring.reports import report, tables
         from symsol_annot.bench.scoring.scoring import score
 
         with open_predictions(path, self._data) as found:

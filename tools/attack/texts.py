@@ -105,7 +105,7 @@ def make_scores(folder):
     from bench_sets import small_set
 
     from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
-    from symsol_annot.bench.scoring import report
+    from symsol_annot.bench.scoring.reports import report
     from symsol_annot.bench.scoring.scoring import score_file
 
     dataset = small_set(folder, "tetX", 8)
@@ -179,7 +179,7 @@ class Scores(Kind):
 
 
 def _compare(paths):
-    from symsol_annot.bench.scoring.comparison import compare
+    from symsol_annot.bench.scoring.reports.comparison import compare
 
     tables = compare(paths)
     if not all(line.isprintable() for line in tables.split("\n")):

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 
 from symsol_annot.bench.leaderboard.entries import Account, Leaderboard, Result
 from symsol_annot.bench.leaderboard.rows import figures_shown
+from symsol_annot.bench.scoring.reports.tables import cell
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metric_of
-from symsol_annot.bench.scoring.tables import cell
 from symsol_annot.system.text.markdown import escaped, fenced, linked, tabled
 
 

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from symsol_annot.bench.leaderboard.entries import Leaderboard, Result
 from symsol_annot.bench.scoring.averages import INTERVAL, ratio, resampled
 from symsol_annot.bench.scoring.metric import HIGHER
+from symsol_annot.bench.scoring.reports.scores_file import per_image_table
 from symsol_annot.bench.scoring.scorers.table import metric_of
-from symsol_annot.bench.scoring.scores_file import per_image_table
 
 LEAST_METHODS = 3  # of which there is an order to speak of
 BY_ONE = ("density", "log_likelihood_at_gt")

@@ -9,8 +9,8 @@ from typing import Any
 from symsol_annot.bench.leaderboard.entries import Leaderboard, Reference, Result
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
 from symsol_annot.bench.predictions.structure import shown
-from symsol_annot.bench.scoring import report
-from symsol_annot.bench.scoring.scores_file import is_same_figure, rounding_of
+from symsol_annot.bench.scoring.reports import report
+from symsol_annot.bench.scoring.reports.scores_file import is_same_figure, rounding_of
 from symsol_annot.bench.scoring.scoring import ObjectScores, score
 from symsol_annot.errors import ScoresError, first_of
 

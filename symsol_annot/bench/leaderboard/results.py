@@ -23,8 +23,8 @@ from symsol_annot.bench.leaderboard.entries import Account, ImageSet, Leaderboar
 from symsol_annot.bench.predictions.structure import shown
 from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.bench.scoring.metric import Place
+from symsol_annot.bench.scoring.reports.scores_file import figures_that_differ, read_scores
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
-from symsol_annot.bench.scoring.scores_file import figures_that_differ, read_scores
 from symsol_annot.errors import ScoresError, bulleted, count_of
 from symsol_annot.system.reading import read_text
 from symsol_annot.system.text.names import is_object_name

@@ -16,8 +16,8 @@ from symsol_annot.bench.predictions.tracks.table import TRACKS
 from symsol_annot.bench.scoring.averages import Figure, PerImage, figures
 from symsol_annot.bench.scoring.best import may_be_best
 from symsol_annot.bench.scoring.metric import HIGHER, Metric, Place
+from symsol_annot.bench.scoring.reports.scores_file import per_image_table
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metric_of, metrics_shown
-from symsol_annot.bench.scoring.scores_file import per_image_table
 
 _THESIS_RECIPE = "wta-von-mises"  # whose M per object is the usual one: 30, and 75 of the icosahedron
 COUNT = "M"

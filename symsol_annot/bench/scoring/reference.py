@@ -14,7 +14,7 @@ import numpy.typing as npt
 from symsol_annot.bench.predictions.queries import DECOY_COSETS, Queries, query_count
 from symsol_annot.bench.predictions.truth import Truth, truth_of
 from symsol_annot.bench.predictions.writing.submission import write_columns, write_hypotheses
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.reports import report
 from symsol_annot.bench.scoring.scoring import ObjectScores, score_file
 from symsol_annot.errors import ScoresError
 from symsol_annot.rotations.grid import STANDARD_LEVEL, grid_index

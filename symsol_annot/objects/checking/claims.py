@@ -9,8 +9,8 @@ import numpy as np
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.found import ALL_ROTATIONS, CIRCLE_STEPS, Group, LargerGroup, Symmetries
 from symsol_annot.objects.finding.kinds import fitted_group
+from symsol_annot.objects.finding.remainders.roundness import off_ball
 from symsol_annot.objects.finding.report import axis_in_words, is_close
-from symsol_annot.objects.finding.roundness import off_ball
 from symsol_annot.objects.finding.surface import Points, Surface
 from symsol_annot.objects.finding.symmetries import find_symmetries
 from symsol_annot.objects.spec import ObjectSpec

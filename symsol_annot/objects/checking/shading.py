@@ -8,7 +8,7 @@ import numpy as np
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.checking.shell import breaks_itself
-from symsol_annot.objects.finding.distances import SurfaceDistance
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance
 from symsol_annot.objects.finding.surface import Surface
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.objects.surface import SURFACE_TOLERANCE, Points

@@ -5,11 +5,11 @@ import numpy.typing as npt
 
 from symsol_annot.objects.finding.axes import angles_and_axes
 from symsol_annot.objects.finding.candidates import Candidates, candidate_rotations, hull_corners
+from symsol_annot.objects.finding.distance.verifying import Verifier
 from symsol_annot.objects.finding.found import CertifiedGroup, Failed, Group
 from symsol_annot.objects.finding.kinds import fitted_group
 from symsol_annot.objects.finding.search import SearchResult, search_group
 from symsol_annot.objects.finding.surface import Surface
-from symsol_annot.objects.finding.verifying import Verifier
 from symsol_annot.rotations.so3 import Rotations
 
 DEFAULT_TOLERANCE = 1e-4  # of the radius: a hundredth of a pixel of an image of 224 pixels

@@ -2,14 +2,14 @@
 
 import numpy as np
 
+from symsol_annot.objects.finding.distance.verifying import Verifier
 from symsol_annot.objects.finding.find import DEFAULT_TOLERANCE, find_group
 from symsol_annot.objects.finding.found import CertifiedGroup, Group, PartSymmetry, Roundness, Symmetries
 from symsol_annot.objects.finding.kinds import fitted_group
-from symsol_annot.objects.finding.remainder import NOT_LOOKED_FOR, larger_groups
-from symsol_annot.objects.finding.roundness import roundness
+from symsol_annot.objects.finding.remainders.remainder import NOT_LOOKED_FOR, larger_groups
+from symsol_annot.objects.finding.remainders.roundness import roundness
 from symsol_annot.objects.finding.search import search_group
 from symsol_annot.objects.finding.surface import Flags, Surface
-from symsol_annot.objects.finding.verifying import Verifier
 from symsol_annot.rotations.so3 import Rotations
 
 

@@ -6,7 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from symsol_annot.errors import ObjectError
-from symsol_annot.objects.finding.distances import SurfaceDistance
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance
 from symsol_annot.objects.importing.crossings import crossing_pairs
 from symsol_annot.objects.importing.repairs import Soup
 from symsol_annot.objects.importing.shells import lies_inside

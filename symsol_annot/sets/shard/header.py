@@ -5,7 +5,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from symsol_annot.sets.settings import (
+from symsol_annot.sets.shard.layout import EQUALITY, FROM_SECRET, LAYOUTS, NEWEST, PARTS, RENDERED
+from symsol_annot.sets.stated.settings import (
     MAX_SEED,
     ImportedSettings,
     RenderedSettings,
@@ -13,7 +14,6 @@ from symsol_annot.sets.settings import (
     SetSettings,
     seed_to_json,
 )
-from symsol_annot.sets.shard.layout import EQUALITY, FROM_SECRET, LAYOUTS, NEWEST, PARTS, RENDERED
 
 SHARD_FORMAT = "symsol-annot shard"
 MAX_IMAGES_PER_SHARD = 500

@@ -13,8 +13,8 @@ from symsol_annot.errors import first_of
 from symsol_annot.rendering.renderer import BODY, MARKING
 from symsol_annot.rotations.group_laws import check_group, right_products
 from symsol_annot.rotations.so3 import ORTHONORMAL_TOLERANCE, rotation_deviation
-from symsol_annot.sets.equality import Equality
 from symsol_annot.sets.shard.reader import Shard, ShardLabels
+from symsol_annot.sets.stated.equality import Equality
 
 Flags = npt.NDArray[np.bool_]
 Images = Callable[[Flags], str]

@@ -24,7 +24,6 @@ from symsol_annot.errors import DamageError, DataError, bulleted
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import SAMPLES_PER_AXIS
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.equality import Equality, equality_stated
 from symsol_annot.sets.shard.chunks import ByteFile, StoredArray
 from symsol_annot.sets.shard.header import content_heading
 from symsol_annot.sets.shard.layout import (
@@ -38,6 +37,7 @@ from symsol_annot.sets.shard.layout import (
     ShardLayout,
 )
 from symsol_annot.sets.shard.structure import parts_stated, shown, structure_of
+from symsol_annot.sets.stated.equality import Equality, equality_stated
 from symsol_annot.system.sandbox.hdf5_process import Description, Hdf5Process, Limits
 
 _LIMITS = Limits(seconds=60.0, processor_seconds=2.0, memory_bytes=2**30)  # a good shard takes 0.01 s

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
 from symsol_annot.objects.parts import MAX_PARTS
 from symsol_annot.rendering.camera import SIZE_RANGE
-from symsol_annot.sets.equality import equality_stated
 from symsol_annot.sets.shard.chunks import DEFLATE, FLETCHER32, Place, StoredArray, largest_chunk
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, SHARD_FORMAT
 from symsol_annot.sets.shard.layout import (
@@ -30,6 +29,7 @@ from symsol_annot.sets.shard.layout import (
     ShardKind,
     ShardLayout,
 )
+from symsol_annot.sets.stated.equality import equality_stated
 from symsol_annot.system.sandbox.hdf5_process import DatasetFacts, Description
 
 MAX_SYMMETRIES = 2 * MAX_GROUP_ORDER

@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from symsol_annot.rendering.renderer import View
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.settings import RenderedSettings, SealedSettings
 from symsol_annot.sets.shard.chunks import GZIP_LEVEL, deflate_version, inflated, stored
 from symsol_annot.sets.shard.header import ShardHeader, content_heading
 from symsol_annot.sets.shard.layout import GROUP, GROUP_SHA256
+from symsol_annot.sets.stated.settings import RenderedSettings, SealedSettings
 from symsol_annot.system.closing import Closing
 
 _MOST_IN_OLDEST = 900  # symmetries: an attribute of HDF5's oldest format holds 64 KiB

@@ -17,8 +17,8 @@ from symsol_annot_cli.leaderboard import leaderboard
 
 from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
-from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.reference import score_row
+from symsol_annot.bench.scoring.reports import report
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import ScoresError
 

@@ -11,8 +11,8 @@ from made_boards import IMAGES, change_of, edited
 
 from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.bench.scoring.metric import Place
+from symsol_annot.bench.scoring.reports.scores_file import figures_that_differ
 from symsol_annot.bench.scoring.scorers.table import metrics_shown
-from symsol_annot.bench.scoring.scores_file import figures_that_differ
 from symsol_annot.errors import ScoresError
 
 

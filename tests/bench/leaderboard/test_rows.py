@@ -12,8 +12,8 @@ from symsol_annot.bench.leaderboard.results import read_leaderboard
 from symsol_annot.bench.leaderboard.rows import Mark
 from symsol_annot.bench.leaderboard.rows import tables_of as board_tables
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
-from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.reference import score_row
+from symsol_annot.bench.scoring.reports import report
 from symsol_annot.errors import ScoresError
 
 SEEDS = {"seed-a": 1, "seed-b": 2, "seed-c": 3}

@@ -20,7 +20,7 @@ from symsol_annot.bench.models.retrieval.view_density import (
     weights_of,
 )
 from symsol_annot.bench.models.retrieval.view_index import NearViews, ViewIndex
-from symsol_annot.bench.scoring import report, tables
+from symsol_annot.bench.scoring.reports import report, tables
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import DataError, SettingsError
 from symsol_annot.rotations.grid import GridIndex

@@ -18,7 +18,7 @@ from valid_predictions import HYPOTHESES, IMAGES, STORAGE
 
 from symsol_annot.bench.predictions.predictions_reader import open_predictions
 from symsol_annot.bench.predictions.tracks.table import TRACKS
-from symsol_annot.bench.scoring.report import to_document
+from symsol_annot.bench.scoring.reports.report import to_document
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import PredictionsError
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scoring_oracle import TruthOracle
 
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.reports import report
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.generation.generate import generate
 

@@ -8,12 +8,12 @@ import pytest
 from compared_scores import COMPARED_IMAGES, SHIFT_RAD
 
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
-from symsol_annot.bench.scoring import report
 from symsol_annot.bench.scoring.averages import difference
-from symsol_annot.bench.scoring.comparison import compare
 from symsol_annot.bench.scoring.metric import Place
+from symsol_annot.bench.scoring.reports import report
+from symsol_annot.bench.scoring.reports.comparison import compare
+from symsol_annot.bench.scoring.reports.scores_file import read_scores
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
-from symsol_annot.bench.scoring.scores_file import read_scores
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.rotations.so3 import uniform_rotations
 

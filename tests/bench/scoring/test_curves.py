@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from matplotlib import rc_context
 from symsol_annot_cli.plot import plot
 
-from symsol_annot.bench.scoring import curves as score_plots
+from symsol_annot.bench.scoring.reports import curves as score_plots
 from symsol_annot.errors import ScoresError
 from symsol_annot.plotting.canvas import write_figure
 

@@ -12,7 +12,7 @@ from symsol_annot.bench.predictions.writing.submission import (
     write_density,
     write_hypotheses,
 )
-from symsol_annot.bench.scoring import report
+from symsol_annot.bench.scoring.reports import report
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import NotAnnotatedError, PredictionsError, RotationError, ScoresError, SettingsError
 from symsol_annot.rotations.grid import grid_sha256, grid_size

@@ -5,9 +5,9 @@ import tracemalloc
 
 import pytest
 
-from symsol_annot.bench.scoring import report, scores_file
-from symsol_annot.bench.scoring.comparison import compare
-from symsol_annot.bench.scoring.scores_file import MAX_BYTES, read_scores, write_scores
+from symsol_annot.bench.scoring.reports import report, scores_file
+from symsol_annot.bench.scoring.reports.comparison import compare
+from symsol_annot.bench.scoring.reports.scores_file import MAX_BYTES, read_scores, write_scores
 from symsol_annot.errors import ScoresError
 
 

@@ -6,9 +6,9 @@ import pytest
 from bench_sets import small_set
 
 from symsol_annot.bench.predictions.truth import truth_of
-from symsol_annot.bench.scoring.comparison import compare
 from symsol_annot.bench.scoring.reference import HYPOTHESES, ROWS, evenly_placed, score_row
-from symsol_annot.bench.scoring.report import to_json
+from symsol_annot.bench.scoring.reports.comparison import compare
+from symsol_annot.bench.scoring.reports.report import to_json
 from symsol_annot.errors import ScoresError
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 

@@ -9,7 +9,7 @@ import re
 import pytest
 from compared_scores import COMPARED_IMAGES
 
-from symsol_annot.bench.scoring.comparison import compare
+from symsol_annot.bench.scoring.reports.comparison import compare
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.errors import ScoresError
 

@@ -17,8 +17,8 @@ from reported_scores import IMAGES, LEVEL, METHOD
 
 from symsol_annot import __version__
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
-from symsol_annot.bench.scoring import report
-from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.reports import report
+from symsol_annot.bench.scoring.reports.report import STRATA
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import ScoresError

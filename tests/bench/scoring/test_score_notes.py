@@ -15,8 +15,8 @@ from symsol_annot.bench.predictions.writing.submission import (
     write_density,
     write_hypotheses,
 )
-from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.reference import ROWS, score_row
+from symsol_annot.bench.scoring.reports import report, tables
 from symsol_annot.bench.scoring.scorers.hypotheses import ANGLES_DEG
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.rotations.grid import equivolumetric_grid

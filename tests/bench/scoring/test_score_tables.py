@@ -11,9 +11,9 @@ from made_sets import make_set
 from reported_scores import IMAGES
 
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
-from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.metric import Place
-from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.reports import report, tables
+from symsol_annot.bench.scoring.reports.report import STRATA
 from symsol_annot.bench.scoring.scorers.hypotheses import F_UNWEIGHTED
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
 from symsol_annot.bench.scoring.scoring import score_file

@@ -13,9 +13,9 @@ from symsol_annot.bench.predictions.proposals import heaviest
 from symsol_annot.bench.predictions.tracks import table as track_table
 from symsol_annot.bench.predictions.tracks.track import Track, TrackReader
 from symsol_annot.bench.predictions.writing.submission import write_columns, write_hypotheses
-from symsol_annot.bench.scoring import report, tables
-from symsol_annot.bench.scoring.comparison import compare
 from symsol_annot.bench.scoring.metric import LOWER, Metric, Place
+from symsol_annot.bench.scoring.reports import report, tables
+from symsol_annot.bench.scoring.reports.comparison import compare
 from symsol_annot.bench.scoring.scorers.scorer import Scorer, TrackScoring
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.bench.scoring.scoring import score_file

@@ -14,7 +14,7 @@ from symsol_annot.bench.predictions.foreign.conversion import (
 )
 from symsol_annot.bench.predictions.foreign.files import read_arrays
 from symsol_annot.bench.predictions.truth import find_set
-from symsol_annot.bench.scoring.in_memory import score
+from symsol_annot.bench.scoring.memory.in_memory import score
 from symsol_annot.bench.scoring.scoring import ObjectScores
 from symsol_annot.errors import DataError, PredictionsError, RotationError, SettingsError
 from symsol_annot.sets.dataset import Dataset, load

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.bench.scoring.metric import HIGHER, Place
-from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.reports.report import STRATA
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metric_of, metrics_shown
 
 WIDTH = 116  # where nobody says how much room there is

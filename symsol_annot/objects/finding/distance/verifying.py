@@ -5,8 +5,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.finding.covering import Covering
-from symsol_annot.objects.finding.distances import SurfaceDistance
+from symsol_annot.objects.finding.distance.covering import Covering
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance
 from symsol_annot.objects.finding.surface import Surface
 from symsol_annot.rotations.so3 import Rotations
 

@@ -16,7 +16,7 @@ from symsol_annot.bench.predictions.format import version_fault
 from symsol_annot.bench.predictions.structure import shown
 from symsol_annot.bench.scoring.averages import PerImage, figures
 from symsol_annot.bench.scoring.metric import LEAST_DECIMALS, MOST_DECIMALS
-from symsol_annot.bench.scoring.report import DECIMALS, SCORES_FORMAT, SCORES_FORMAT_VERSION, STRATA, to_json
+from symsol_annot.bench.scoring.reports.report import DECIMALS, SCORES_FORMAT, SCORES_FORMAT_VERSION, STRATA, to_json
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.errors import ScoresError, bulleted
 from symsol_annot.system.files import write_atomically

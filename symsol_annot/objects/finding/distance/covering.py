@@ -13,8 +13,8 @@ import numpy.typing as npt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from symsol_annot.objects.finding.distances import SurfaceDistance, point_to_triangle
-from symsol_annot.objects.finding.flat_regions import FlatRegions
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance, point_to_triangle
+from symsol_annot.objects.finding.distance.flat_regions import FlatRegions
 from symsol_annot.objects.finding.surface import Surface
 from symsol_annot.rotations.so3 import Rotations
 

@@ -33,8 +33,8 @@ from symsol_annot.bench.predictions.writing.asked import (
     hypotheses_answers,
     refuse_no_callable,
 )
-from symsol_annot.bench.scoring.answered import GridRun, HeldAnswers
-from symsol_annot.bench.scoring.scores import Scores
+from symsol_annot.bench.scoring.memory.answered import GridRun, HeldAnswers
+from symsol_annot.bench.scoring.memory.scores import Scores
 from symsol_annot.bench.scoring.scoring import ObjectScores, TrackScores
 from symsol_annot.bench.scoring.scoring import score as score_predictions
 from symsol_annot.errors import SettingsError

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.bench.predictions.truth import Truth
-from symsol_annot.bench.scoring import report, tables
 from symsol_annot.bench.scoring.averages import Figure, Values
+from symsol_annot.bench.scoring.reports import report, tables
 from symsol_annot.bench.scoring.scorers.table import metric_of
 from symsol_annot.bench.scoring.scoring import ObjectScores, TrackScores
 from symsol_annot.errors import ScoresError

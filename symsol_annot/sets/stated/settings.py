@@ -12,7 +12,7 @@ from typing import Any
 
 from symsol_annot.rendering.camera import SIZE_RANGE, Camera
 from symsol_annot.rendering.settings import RenderSettings
-from symsol_annot.sets.equality import Equality, PartsOfSet, equality_from_json
+from symsol_annot.sets.stated.equality import Equality, PartsOfSet, equality_from_json
 from symsol_annot.system.text.names import is_object_name
 
 ANNOTATE_CHOICES = ("all", "test", "none")

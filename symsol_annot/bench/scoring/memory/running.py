@@ -11,8 +11,8 @@ from symsol_annot.bench.predictions.contents import filled
 from symsol_annot.bench.predictions.truth import part_of, truth_of
 from symsol_annot.bench.predictions.writing.answer_file import Answer
 from symsol_annot.bench.predictions.writing.asked import DEFAULT_BATCH, columns_of_array
-from symsol_annot.bench.scoring.answered import GridRun, HeldAnswers
-from symsol_annot.bench.scoring.in_memory import (
+from symsol_annot.bench.scoring.memory.answered import GridRun, HeldAnswers
+from symsol_annot.bench.scoring.memory.in_memory import (
     Asking,
     answers_of,
     grid_attributes,
@@ -24,7 +24,7 @@ from symsol_annot.bench.scoring.in_memory import (
     refuse_slice,
     score_arrays,
 )
-from symsol_annot.bench.scoring.scores import Scores
+from symsol_annot.bench.scoring.memory.scores import Scores
 from symsol_annot.bench.scoring.scoring import ObjectScores
 from symsol_annot.errors import ScoresError, SettingsError
 from symsol_annot.rotations.grid import STANDARD_LEVEL

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.finding.distances import SurfaceDistance, point_to_triangle
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance, point_to_triangle
 from symsol_annot.objects.finding.found import ALL_ROTATIONS, CIRCLE, CIRCLE_WITH_HALF_TURNS, Group, Roundness
 from symsol_annot.objects.finding.kinds import frame_about
 from symsol_annot.objects.finding.surface import Points, Surface

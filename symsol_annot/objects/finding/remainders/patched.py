@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.axes import angles_and_axes
-from symsol_annot.objects.finding.distances import SurfaceDistance
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance
 from symsol_annot.objects.finding.found import CertifiedGroup, Group, LargerGroup
 from symsol_annot.objects.finding.kinds import fitted_group, frame_about
 from symsol_annot.objects.finding.surface import Flags, Points, Surface

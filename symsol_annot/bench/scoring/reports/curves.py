@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.reports.report import STRATA
+from symsol_annot.bench.scoring.reports.scores_file import read_scores
 from symsol_annot.bench.scoring.scorers.classifier import CLASSIFIER_SCORING, SWEPT_THRESHOLDS
 from symsol_annot.bench.scoring.scorers.density import DENSITY_SCORING, REGIONS, region_metric
 from symsol_annot.bench.scoring.scorers.hypotheses import ANGLES_DEG, HYPOTHESES_SCORING
 from symsol_annot.bench.scoring.scorers.scorer import TrackScoring
-from symsol_annot.bench.scoring.scores_file import read_scores
 from symsol_annot.errors import ScoresError
 from symsol_annot.plotting.canvas import SERIES, label_text, legend_below, legend_mark, new_figure, write_figure
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from symsol_annot.errors import ObjectError
-from symsol_annot.objects.finding.distances import SurfaceDistance
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance
 from symsol_annot.objects.finding.find import find_group
 from symsol_annot.objects.finding.found import (
     CIRCLE,
@@ -21,9 +21,9 @@ from symsol_annot.objects.finding.found import (
     Roundness,
 )
 from symsol_annot.objects.finding.kinds import frame_about
-from symsol_annot.objects.finding.patched import off_flat_faces
-from symsol_annot.objects.finding.revolution import Revolution, revolutions
-from symsol_annot.objects.finding.roundness import roundness
+from symsol_annot.objects.finding.remainders.patched import off_flat_faces
+from symsol_annot.objects.finding.remainders.revolution import Revolution, revolutions
+from symsol_annot.objects.finding.remainders.roundness import roundness
 from symsol_annot.objects.finding.surface import Flags, Points, Surface
 from symsol_annot.rotations.so3 import Rotations, rotations_about
 

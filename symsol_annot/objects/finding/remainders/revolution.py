@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from symsol_annot.objects.finding.distances import SurfaceDistance
+from symsol_annot.objects.finding.distance.distances import SurfaceDistance
 from symsol_annot.objects.finding.surface import Flags, Points, Surface
 from symsol_annot.rotations.so3 import rotations_about
 

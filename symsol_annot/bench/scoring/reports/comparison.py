@@ -8,10 +8,10 @@ import numpy as np
 
 from symsol_annot.bench.scoring.averages import difference
 from symsol_annot.bench.scoring.metric import Place
-from symsol_annot.bench.scoring.report import STRATA
+from symsol_annot.bench.scoring.reports.report import STRATA
+from symsol_annot.bench.scoring.reports.scores_file import per_image_table, read_scores, strata_of
+from symsol_annot.bench.scoring.reports.tables import aligned, remarks, short
 from symsol_annot.bench.scoring.scorers.table import SCORINGS, metrics_shown
-from symsol_annot.bench.scoring.scores_file import per_image_table, read_scores, strata_of
-from symsol_annot.bench.scoring.tables import aligned, remarks, short
 from symsol_annot.errors import ScoresError
 
 AnyPath: TypeAlias = str | os.PathLike[str]

@@ -1,0 +1,1 @@
+"""Scoring what a program holds in memory: whole arrays, or batch by batch."""

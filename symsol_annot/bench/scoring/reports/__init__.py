@@ -1,0 +1,1 @@
+"""What becomes of scores: documents, tables, comparisons, curves."""
