@@ -1,7 +1,8 @@
 """Makes a row of the leaderboard: .venv/bin/python docs/baselines.py ROW [--tier TIER] [--object NAME] [--seed SEED].
 
-Trains, predicts and scores a recipe by the commands that the result's TOML then names, and writes ROW.toml and
-ROW.json.gz to docs/results/leaderboard/TIER; of another seed than 0, ROW-seed-SEED, which the board merges with ROW.
+Trains, predicts and scores a recipe, or `retrieval`, which needs no training, by the commands that the result's TOML
+then names, and writes ROW.toml and ROW.json.gz to docs/results/leaderboard/TIER; of another seed than 0,
+ROW-seed-SEED, which the board merges with ROW.
 Re-running the command resumes it. Whatever is finished is not done again, on whichever machine it was done: a folder
 runs/OBJECT-ROW or a file OBJECT-ROW.h5 that is put into the working folder is taken as it is. Sets are looked for in
 its folder `data` (`small` of the small tier), which may have links to them, and rendered where they are not there.
@@ -21,118 +22,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from symsol_annot.bench.leaderboard.results import SET, THESIS
+from baseline_rows import TIERS, BaselineError, Row, row_of
+
+import symsol_annot
+from symsol_annot.bench.leaderboard.results import SET
 from symsol_annot.bench.models.devices import choose_device, hardware
-from symsol_annot.bench.models.recipe import load_recipe
-from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE, read_record
+from symsol_annot.bench.models.retrieval import retrieval
+from symsol_annot.bench.models.training.checkpoints import read_record
 from symsol_annot.bench.models.training.record import TrainingRecord
-from symsol_annot.bench.scoring.metric import LEAST_DECIMALS
 from symsol_annot.bench.scoring.reports.scores_file import read_scores, write_scores
 from symsol_annot.errors import DataError, SymsolError
-from symsol_annot.objects.spec import load_object
 from symsol_annot.sets.dataset import load
 from symsol_annot.system.files import write_atomically
 from symsol_annot.system.reading import file_sha256
 
-BOARD = Path(__file__).resolve().parent / "results" / "leaderboard"
 WORK = Path(__file__).resolve().parent.parent / "build" / "baselines"
-DATA = {"small": "small", "published": "data"}  # the folder of a tier's sets, as the commands of its set.toml have it
 STEPS = ("render", "train", "predict", "score", "write")
-MARKED = ("tetX", "cylO")
-ONE_OBJECT = ("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer")  # rows of tetX alone
-
-
-class BaselineError(SymsolError):
-    """A step cannot be done."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """A recipe that was or will be trained with one seed, on the objects of a tier.
-
-    Attributes:
-        recipe: its name.
-        tier: "small" or "published", a folder of the leaderboard.
-        seed: of the training.
-        folder: that the commands are run in.
-    """
-
-    recipe: str
-    tier: str
-    seed: int
-    folder: Path
-
-    @property
-    def name(self) -> str:
-        """Of the result's files."""
-        return f"{self.recipe}-seed-{self.seed}" if self.seed else self.recipe
-
-    @property
-    def data(self) -> str:
-        """The folder of the sets, from the working folder."""
-        return DATA[self.tier]
-
-    @property
-    def place(self) -> Path:
-        """Of the result's files."""
-        return BOARD / self.tier
-
-    @property
-    def scores(self) -> Path:
-        """The file of the scores, in the working folder."""
-        return self.folder / f"{self.name}.json.gz"
-
-    def weights(self, name: str) -> Path:
-        """Return the checkpoint of an object."""
-        return self.folder / "runs" / f"{name}-{self.name}" / WEIGHTS_FILE
-
-    def predictions(self, name: str) -> Path:
-        """Return the predictions about an object."""
-        return self.folder / f"{name}-{self.name}.h5"
-
-    def note(self, step: str) -> Path:
-        """Return what is kept of a finished step: "OBJECT-predict", or "score"."""
-        return self.folder / "done" / f"{self.name}-{step}.json"
-
-    def fingerprints(self) -> Mapping[str, str]:
-        """Return the objects of the tier, and the fingerprints of their test splits."""
-        found: Mapping[str, str] = tomllib.loads((self.place / SET).read_text())["fingerprints"]
-        return found
-
-    def objects(self) -> list[str]:
-        """Return the objects that the recipe is trained on: of the published tier all, but of the thesis's two."""
-        there = list(self.fingerprints())
-        of_thesis = {name for t in tomllib.loads((BOARD / THESIS).read_text())["tables"].values() for name in t["rows"]}
-        is_thesiss = self.recipe in of_thesis or self.recipe.startswith("reduced-")
-        if self.tier == "published" and is_thesiss:
-            there = list(MARKED)
-        return [name for name in there if name == "tetX" or self.recipe not in ONE_OBJECT]
-
-    def predicted(self) -> list[str]:
-        """Return the objects that have predictions."""
-        return [name for name in self.fingerprints() if self.predictions(name).is_file()]
-
-    def train_command(self, name: str) -> list[str]:
-        """Return the words that train the recipe on an object."""
-        seeded = ["--seed", str(self.seed), "--out", f"runs/{name}-{self.name}"] if self.seed else []
-        return ["symsol-annot", "train", self.recipe, "--data", self.data, "--object", name, *seeded]
-
-    def predict_command(self, name: str) -> list[str]:
-        """Return the words that predict an object's test images."""
-        run = f"{name}-{self.name}"
-        return ["symsol-annot", "predict", f"runs/{run}", "--data", self.data, "--out", f"{run}.h5"]
-
-    def score_command(self, names: list[str]) -> list[str]:
-        """Return the words that score the predictions."""
-        files, small = [f"{name}-{self.name}.h5" for name in names], ["--decimals", str(LEAST_DECIMALS)]
-        return ["symsol-annot", "score", *files, "--data", self.data, "--json", self.scores.name, *small]
 
 
 def main() -> None:
     """Run what is asked for; an error is one message."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("row", help="a recipe, as `symsol-annot train --list` has them")
-    parser.add_argument("--tier", choices=list(DATA), help="[default: small for small-..., else published]")
+    parser.add_argument("row", help="a recipe, as `symsol-annot train --list` has them, or retrieval")
+    parser.add_argument("--tier", choices=list(TIERS), help="[default: small for small-..., else published]")
     parser.add_argument("--object", action="append", help="may be repeated  [default: those of the row]")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", type=Path, help="the working folder  [default: build/baselines/TIER]")
@@ -141,7 +53,7 @@ def main() -> None:
     tier = options.tier or ("small" if options.row.startswith("small-") else "published")
     folder = options.folder or WORK / tier
     try:
-        make(Row(options.row, tier, options.seed, folder), options.object, options.only or STEPS)
+        make(row_of(options.row, tier, options.seed, folder), options.object, options.only or STEPS)
     except SymsolError as error:
         sys.exit(f"Error: {error}")
     except subprocess.CalledProcessError as error:
@@ -150,7 +62,6 @@ def main() -> None:
 
 def make(row: Row, objects: list[str] | None, steps: tuple[str, ...] | list[str]) -> None:
     """Do steps of a row for some objects, or for all that it has."""
-    load_recipe(row.recipe)
     if unknown := sorted(set(objects or []) - set(row.fingerprints())):
         raise BaselineError(f"--object {unknown[0]}: the {row.tier} tier has {', '.join(row.fingerprints())}")
     row.folder.mkdir(parents=True, exist_ok=True)
@@ -190,18 +101,21 @@ def is_rendered(place: Path) -> bool:
 
 
 def train(row: Row, name: str) -> None:
-    """Train on an object, from where an earlier run was stopped."""
+    """Train on an object, from where an earlier run was stopped, unless the row needs no training."""
+    if not row.is_trained:
+        return
     file = row.weights(name)
     if not file.is_file() or not read_record(file).is_finished:
         run(row.folder, row.train_command(name))
 
 
 def predict(row: Row, name: str) -> None:
-    """Predict an object's test images, unless that was done by these weights or somewhere else."""
-    finished_record(row, name)
-    path, note, weights = row.predictions(name), row.note(f"{name}-predict"), file_sha256(row.weights(name))
+    """Predict an object's test images, unless that was done from what there is now, or somewhere else."""
+    if row.is_trained:
+        finished_record(row, name)
+    path, note, made_from = row.predictions(name), row.note(f"{name}-predict"), row.made_from(name)
     known = read_note(note)
-    is_by_these = known.get("weights_sha256", weights) == weights
+    is_by_these = known.get("made_from", made_from) == made_from
     is_whole = known.get("is_whole", True)  # what comes from elsewhere is; tracks are written one after another
     if path.is_file() and is_by_these and is_whole:
         return
@@ -214,7 +128,7 @@ def predict(row: Row, name: str) -> None:
     finally:  # what was answered before an interruption is kept, so its time counts
         spent = before + (time.monotonic() - start) / 60
         device = hardware(choose_device("auto"))
-        write_note(note, {"weights_sha256": weights, "minutes": spent, "device": device, "is_whole": is_whole})
+        write_note(note, {"made_from": made_from, "minutes": spent, "device": device, "is_whole": is_whole})
 
 
 def score(row: Row) -> None:
@@ -243,7 +157,9 @@ def write(row: Row) -> None:
     ordered = {name: there[name] for name in row.fingerprints() if name in there}
     write_scores(row.place / row.scores.name, {**scores, "objects": ordered})
     write_atomically(row.place / f"{row.name}.toml", text.encode())
-    print(f"{row.place / row.name}.toml\nNext:\n  symsol-annot leaderboard {BOARD} --out docs/leaderboard.md")
+    print(
+        f"{row.place / row.name}.toml\nNext:\n  symsol-annot leaderboard {row.place.parent} --out docs/leaderboard.md"
+    )
 
 
 @dataclass(frozen=True)
@@ -285,18 +201,19 @@ def result(row: Row, digests: Mapping[str, str], earlier: Earlier) -> str:
     """
     kept = {name: table for name, table in earlier.account.get("objects", {}).items() if name not in digests}
     names = [name for name in row.fingerprints() if name in digests or name in kept]
-    records = {name: finished_record(row, name) for name in digests}
+    records = {name: finished_record(row, name) for name in digests} if row.is_trained else {}
     scored, predicted = read_note(row.note("score")), {name: read_note(row.note(f"{name}-predict")) for name in digests}
-    words = [command(name) for name in names for command in (row.train_command, row.predict_command)]
+    made_by = (row.train_command, row.predict_command) if row.is_trained else (row.predict_command,)
+    words = [command(name) for name in names for command in made_by]
     before = [earlier.account["hardware"]] if kept else []
     head = {
-        "title": load_recipe(row.recipe).title.partition(", small")[0],
+        "title": row.title,
         "by": "symsol-annot",
         "hardware": "; ".join(dict.fromkeys([*before, hardware_in_words(records, predicted)])),
-        "recipe": row.recipe,
+        **({"recipe": row.recipe} if row.is_trained else {}),
         "method": row.recipe,
-        "input_px": input_px(records),
-        **knowledge(row),
+        "input_px": input_px(records) if row.is_trained else retrieval.DEFAULT_SIZE,
+        **row.knowledge(),
         "commands": [" ".join(command) for command in (*words, row.score_command(names))],
     }
     lines = [f"{key} = {json.dumps(value, indent=4, ensure_ascii=False)}" for key, value in head.items()]
@@ -311,13 +228,21 @@ def result(row: Row, digests: Mapping[str, str], earlier: Earlier) -> str:
         if name in kept:
             lines += [f"\n[objects.{name}]", *(f"{key} = {json.dumps(kept[name][key])}" for key in kept[name])]
             continue
-        record = records[name]
-        lines += [f"\n[objects.{name}]", f"seed = {record.seed}", f"minutes = {minutes(record, 'seconds'):.1f}"]
-        lines += [f"processor_minutes = {minutes(record, 'processor_seconds'):.1f}"]
-        lines += [f"predict_minutes = {predicted[name]['minutes']:.1f}"] if predicted[name] else []
-        lines += [f"first_stage = {json.dumps(record.first_stage.partition(', sha256')[0], ensure_ascii=False)}"]
+        lines += [f"\n[objects.{name}]", *training_lines(records.get(name), predicted[name])]
         lines += [f'predictions_sha256 = "{digests[name]}"']
     return "\n".join(lines) + "\n"
+
+
+def training_lines(record: TrainingRecord | None, predicted: Mapping[str, Any]) -> list[str]:
+    """Return the lines about how an object's model came to be, None where nothing was trained, and predicted."""
+    lines = ["seed = 0", "minutes = 0.0", "processor_minutes = 0.0"]
+    if record is not None:
+        lines = [f"seed = {record.seed}", f"minutes = {minutes(record, 'seconds'):.1f}"]
+        lines += [f"processor_minutes = {minutes(record, 'processor_seconds'):.1f}"]
+    lines += [f"predict_minutes = {predicted['minutes']:.1f}"] if predicted else []
+    if record is not None:
+        lines += [f"first_stage = {json.dumps(record.first_stage.partition(', sha256')[0], ensure_ascii=False)}"]
+    return lines
 
 
 def minutes(record: TrainingRecord, what: str) -> float:
@@ -326,12 +251,14 @@ def minutes(record: TrainingRecord, what: str) -> float:
 
 
 def hardware_in_words(records: Mapping[str, TrainingRecord], predicted: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what the models were trained on, and what predicted where that was another device."""
+    """Return what the models were trained on, and what predicted where that was another device, or all there was."""
+    elsewhere = {name: note["device"] for name, note in predicted.items() if note}
+    if not records:
+        return f"{in_words(elsewhere)}; symsol-annot {symsol_annot.__version__}"
     trained = in_words({name: device_of(record) for name, record in records.items()})
     versions = sorted(
         {f"torch {r.software['torch']}, symsol-annot {r.software['symsol-annot']}" for r in records.values()}
     )
-    elsewhere = {name: note["device"] for name, note in predicted.items() if note}
     other = {name: device for name, device in elsewhere.items() if not device_of(records[name]).endswith(device)}
     predicting = f"; predicting on {in_words(other)}" if other else ""
     return f"{trained}{predicting}; {'; '.join(versions)}"
@@ -355,17 +282,6 @@ def input_px(records: Mapping[str, TrainingRecord]) -> int:
     """Return the side of the images that the networks read."""
     sides = {record.recipe.input_size or record.image_size[0] for record in records.values()}
     return max(sides)
-
-
-def knowledge(row: Row) -> dict[str, bool]:
-    """Return what the recipe is told of any object, whatever object it is scored on, so that seeds agree."""
-    file, objects = load_recipe(row.recipe), row.objects()
-    found = [file.for_object(name, has_marking=load_object(name).marking is not None) for name in objects]
-    has_structure = any(getattr(recipe, "structure", "free") != "free" for recipe in found)
-    return {
-        "given_group": has_structure or any(recipe.needs_rejected_candidates for recipe in found),
-        "given_sets": any(recipe.needs_members or recipe.needs_rejected_candidates for recipe in found),
-    }
 
 
 def score_minutes(

@@ -6,6 +6,7 @@ import shutil
 import tomllib
 from types import SimpleNamespace
 
+import baseline_rows
 import baselines
 import pytest
 from bench_sets import small_set
@@ -56,6 +57,8 @@ def made(board, images, tmp_path, monkeypatch):
         if words[1] == "train":
             seed = int(words[words.index("--seed") + 1]) if "--seed" in words else 0
             train_elsewhere(place, seed)
+        elif words[1] == "retrieve":
+            write_hypotheses(place / words[-1], images, turned(images, 0.1), method="retrieval", progress=False)
         elif words[1] == "predict":
             seed = json.loads((place / words[2] / "weights.safetensors").read_text())["seed"]
             path = place / words[words.index("--out") + 1]
@@ -70,7 +73,7 @@ def made(board, images, tmp_path, monkeypatch):
             raise WeightsError(f"{file}: there is no such checkpoint")
         return record_of(**json.loads(file.read_text()))
 
-    monkeypatch.setattr(baselines, "BOARD", board)
+    monkeypatch.setattr(baseline_rows, "BOARD", board)
     monkeypatch.setattr(baselines, "run", run)
     monkeypatch.setattr(baselines, "read_record", read_record)
     return SimpleNamespace(folder=folder, ran=ran, board=board, place=board / "small")
@@ -101,7 +104,7 @@ def train_elsewhere(folder, seed=0, **facts):
 
 
 def make(made, seed=0, steps=baselines.STEPS):
-    baselines.make(baselines.Row(RECIPE, "small", seed, made.folder), None, steps)
+    baselines.make(baseline_rows.row_of(RECIPE, "small", seed, made.folder), None, steps)
 
 
 def account(made, name=RECIPE):
@@ -123,6 +126,20 @@ def test_one_call_makes_a_row_by_the_commands_that_it_names(made):
     assert result.account.input_px == 32  # which the recipe reduces images to
     assert "Some Processor, 2 threads" in result.account.hardware
     assert read_scores(made.place / f"{RECIPE}.json.gz")["objects"]["tetX"]["per_image"]["decimals"] == 5
+
+
+def test_a_row_that_needs_no_training_is_predicted_and_scored_once(made):
+    row = baseline_rows.row_of("retrieval", "small", 0, made.folder)
+    for _ in range(2):
+        baselines.make(row, None, baselines.STEPS)
+        assert [words.split()[1] for words in made.ran] == ["retrieve", "score"]
+    assert made.ran == account(made, "retrieval")["commands"]
+    (result,) = read_leaderboard(made.board).results["small"]
+    assert (result.account.input_px, result.account.given_group, result.account.given_sets) == (16, False, True)
+    assert (result.account.recipe, result.account.objects["tetX"].minutes) == ("", 0.0)
+    assert result.account.objects["tetX"].predict_minutes is not None
+    with pytest.raises(baseline_rows.BaselineError, match="--seed 1: retrieval draws nothing at random"):
+        baseline_rows.row_of("retrieval", "small", 1, made.folder)
 
 
 def test_nothing_that_is_finished_is_done_again(made):
@@ -153,7 +170,7 @@ def test_a_row_that_was_stopped_goes_on_at_that_step(stopped_at, made, monkeypat
 
 def test_an_unfinished_training_is_resumed_and_not_predicted_before(made):
     train_elsewhere(made.folder, done=1)
-    with pytest.raises(baselines.BaselineError, match="has 1 epochs of 2; --only train resumes it"):
+    with pytest.raises(baseline_rows.BaselineError, match="has 1 epochs of 2; --only train resumes it"):
         make(made, steps=["predict"])
     make(made)
     assert made.ran[0].startswith("symsol-annot train")
@@ -200,27 +217,27 @@ def test_seeds_are_results_of_one_row(made):
 
 def test_a_checkpoint_of_another_seed_or_recipe_is_refused(made):
     train_elsewhere(made.folder, name="small-ewta")
-    with pytest.raises(baselines.BaselineError, match="recipe: expected 'small-wta', found 'small-ewta'"):
+    with pytest.raises(baseline_rows.BaselineError, match="recipe: expected 'small-wta', found 'small-ewta'"):
         make(made)
 
 
 def test_another_set_than_the_boards_is_refused(made):
     file = made.place / "set.toml"
     file.write_text(file.read_text().replace('tetX = "', 'tetX = "0'))
-    with pytest.raises(baselines.BaselineError, match="its test split is not that of"):
+    with pytest.raises(baseline_rows.BaselineError, match="its test split is not that of"):
         make(made)
     assert made.ran == []
 
 
 def test_an_object_that_the_tier_lacks_is_refused(made):
-    with pytest.raises(baselines.BaselineError, match="--object cube: the small tier has tetX"):
-        baselines.make(baselines.Row(RECIPE, "small", 0, made.folder), ["cube"], baselines.STEPS)
+    with pytest.raises(baseline_rows.BaselineError, match="--object cube: the small tier has tetX"):
+        baselines.make(baseline_rows.row_of(RECIPE, "small", 0, made.folder), ["cube"], baselines.STEPS)
 
 
 def test_nothing_to_score_or_to_write_is_told(made):
-    with pytest.raises(baselines.BaselineError, match="has no predictions of small-wta to score"):
+    with pytest.raises(baseline_rows.BaselineError, match="has no predictions of small-wta to score"):
         make(made, steps=["score"])
-    with pytest.raises(baselines.BaselineError, match="is missing; --only score makes it"):
+    with pytest.raises(baseline_rows.BaselineError, match="is missing; --only score makes it"):
         make(made, steps=["write"])
 
 
@@ -243,7 +260,7 @@ def test_objects_that_a_result_has_already_are_kept_when_others_are_added(made):
     with (made.place / "set.toml").open("a") as file:
         file.write(f'tetX = "{earlier["objects"]["tetX"]["fingerprint"]}"\n')
     minutes = account(made)["score_minutes"]
-    baselines.make(baselines.Row(RECIPE, "small", 0, made.folder), ["tetX"], baselines.STEPS)
+    baselines.make(baseline_rows.row_of(RECIPE, "small", 0, made.folder), ["tetX"], baselines.STEPS)
     assert account(made)["objects"] == {"cylO": before, "tetX": before}
     assert account(made)["score_minutes"] == pytest.approx(2 * minutes, abs=0.11)
     assert [words.split()[1] for words in account(made)["commands"]] == [*("train", "predict") * 2, "score"]
@@ -263,6 +280,6 @@ def test_objects_that_a_result_has_already_are_kept_when_others_are_added(made):
     ],
 )
 def test_rows_of_the_repository_have_their_objects_and_say_what_they_are_told(recipe, tier, objects, told, tmp_path):
-    row = baselines.Row(recipe, tier, 0, tmp_path)
+    row = baseline_rows.row_of(recipe, tier, 0, tmp_path)
     assert row.objects() == objects
-    assert tuple(baselines.knowledge(row).values()) == told
+    assert tuple(row.knowledge().values()) == told
