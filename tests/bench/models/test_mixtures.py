@@ -96,3 +96,17 @@ def test_a_row_is_one_images_mixture():
     for mixture, at in ((poses(), R), (axes(), R[:, :, 0])):
         assert len(mixture) == 2
         assert torch.allclose(mixture.row(1).log_density(at)[0], mixture.log_density(at)[1])
+
+
+@pytest.mark.parametrize("narrower", [0.0, 3.0])
+def test_of_one_image_it_is_the_same_at_many_places_piece_by_piece(narrower):
+    pose, axis = poses(images=1, narrower=narrower), axes(images=1, narrower=narrower, is_directed=True)
+    R, directions = (
+        torch.cat([pose.centres[0], rotations(5000)]),
+        torch.cat([axis.frames[0, :, :, 2], rotations(5000)[:, 2]]),
+    )
+    for mixture, at in ((pose, R), (axis, directions)):
+        expected = mixture.log_density(at)[0]
+        torch.testing.assert_close(mixture.of_image(at), expected, atol=2e-5, rtol=0)
+        assert not mixture.of_image(at).requires_grad
+        assert float(expected.max() - expected.min()) > 4.0  # from a peak to next to nothing

@@ -9,7 +9,9 @@ dense on its own hemisphere and pushed off the other. A last component is unifor
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeAlias
 
 import roma
@@ -22,14 +24,48 @@ from symsol_annot.bench.models.networks.hypothesis_network import gram_schmidt
 _LOG_POSE = math.log(8.0 * math.pi**2) - 1.5 * math.log(2.0 * math.pi)  # uniform on SO(3): 1 / (8 pi^2)
 _LOG_AXIS = 0.0  # uniform on axes: 1 / (2 pi), of a normal's 1 / (2 pi)
 _LEAST, _MOST = 0.8, 5.5  # of the logarithm of a precision's root: 26 degrees to 0.23 degrees
+_AT_ONCE, _NOTHING = 2048, -60.0
 _RARE = 4.0  # what the logit of the uniform component begins below the others
 
 POSE_NUMBERS, AXIS_NUMBERS = 13, 10  # that a network gives for a component: two columns of H, L, a logit
 Mixture: TypeAlias = "PoseMixture | AxisMixture"
 
 
+class LogDensity(ABC):
+    """What mixtures share: from the logarithms of their components' shares to that of the density."""
+
+    log_weights: Tensor
+
+    @property
+    @abstractmethod
+    def log_peaks(self) -> Tensor:
+        """Ln of each component's share of p at its centre (B, M)."""
+
+    @abstractmethod
+    def log_shares(self, at: Tensor) -> Tensor:
+        """Return ln of each component's share of p (B, Q, M) at Q places, which may be the same for all images."""
+
+    def log_density(self, at: Tensor) -> Tensor:
+        """Return ln p (B, Q) at rotations (B, Q, 3, 3) or axes (B, Q, 3), or without B, the same for all images."""
+        return torch.logaddexp(torch.logsumexp(self.log_shares(at), -1), self.log_weights[:, -1:])
+
+    @torch.no_grad()
+    def of_image(self, at: Tensor) -> Tensor:
+        """Return ln p (Q,) of the only image at many rotations (Q, 3, 3) or axes (Q, 3), sooner than `log_density`.
+
+        A share of less than e^-60 of the highest peak counts as so much: exp takes ten times as long where it
+        underflows. What is worked out at once fits the processor's cache.
+        """
+        highest = self.log_peaks.max()
+        found = []
+        for part in torch.split(at, _AT_ONCE):
+            shares = (self.log_shares(part)[0] - highest).clamp_(min=_NOTHING).exp_()
+            found.append(shares.sum(-1))
+        return torch.logaddexp(torch.cat(found).log_() + highest, self.log_weights[0, -1])
+
+
 @dataclass(frozen=True, eq=False)
-class PoseMixture:
+class PoseMixture(LogDensity):
     """Densities of rotations, one for each of B images.
 
     Attributes:
@@ -58,15 +94,18 @@ class PoseMixture:
         roots[..., 2, 1] = below[..., 2] * diagonal[..., 1]
         return cls(_frames(numbers), roots, _log_weights(numbers[..., 12], uniform_logit))
 
-    def log_density(self, R: Tensor) -> Tensor:
-        """Return ln p (B, Q) at rotations (B, Q, 3, 3), or (Q, 3, 3) for all images."""
+    def log_shares(self, at: Tensor) -> Tensor:
+        """Return ln of each component's share of p (B, Q, M) at rotations (B, Q, 3, 3), or (Q, 3, 3) for all images."""
+        turned, constants = self._linear
+        return torch.baddbmm(constants[:, None], _by_image(at, 3).flatten(-2).expand(len(constants), -1, -1), turned.mT)
+
+    @cached_property
+    def _linear(self) -> tuple[Tensor, Tensor]:
+        """H A (B, M, 9) and constants (B, M): the logarithm of a share at R is <H A, R> + constant."""
         precisions = self.roots @ self.roots.mT
         half = 0.5 * torch.diagonal(precisions, dim1=-2, dim2=-1).sum(-1)  # tr K / 2 = tr A
         A = half[..., None, None] * torch.eye(3, device=half.device) - precisions
-        turned = (self.centres @ A).flatten(2)  # tr(A H^T R) = <H A, R>
-        peaks = self.log_peaks - half
-        of_each = torch.baddbmm(peaks[:, None], _by_image(R, 3).flatten(-2).expand(len(peaks), -1, -1), turned.mT)
-        return torch.logaddexp(torch.logsumexp(of_each, -1), self.log_weights[:, -1:])
+        return (self.centres @ A).flatten(2), self.log_peaks - half  # tr(A H^T R) = <H A, R>
 
     @property
     def log_peaks(self) -> Tensor:
@@ -94,13 +133,6 @@ class PoseMixture:
         covariance = torch.cholesky_inverse(self.roots) + deviation_rad**2 * torch.eye(3, device=self.roots.device)
         return replace(self, roots=torch.linalg.cholesky(torch.linalg.inv(covariance)))
 
-    def only(self, components: Tensor) -> "PoseMixture":
-        """Return the share of some components (k,), by their indices: not the whole of a density."""
-        log_weights = torch.cat(
-            [self.log_weights[:, components], torch.full_like(self.log_weights[:, :1], -math.inf)], 1
-        )
-        return PoseMixture(self.centres[:, components], self.roots[:, components], log_weights)
-
     def spread_over(self, group: Tensor) -> "PoseMixture":
         """Return the mixtures that are the same at R and R g, for g of a group (G, 3, 3): of G M components.
 
@@ -125,7 +157,7 @@ class PoseMixture:
 
 
 @dataclass(frozen=True, eq=False)
-class AxisMixture:
+class AxisMixture(LogDensity):
     """Densities of axes, one for each of B images.
 
     Attributes:
@@ -154,18 +186,23 @@ class AxisMixture:
         roots[..., 1, 0] = 2.0 * torch.tanh(numbers[..., 8] / 2.0) * diagonal[..., 0]
         return cls(_frames(numbers), roots, _log_weights(numbers[..., 9], uniform_logit), is_directed)
 
-    def log_density(self, axes: Tensor) -> Tensor:
-        """Return ln p (B, Q) at axes (B, Q, 3), unit vectors, or (Q, 3) for all images."""
-        axes = _by_image(axes, 2).expand(len(self.frames), -1, -1)
+    def log_shares(self, at: Tensor) -> Tensor:
+        """Return ln of each component's share of p (B, Q, M) at axes (B, Q, 3), unit vectors, or (Q, 3) for all."""
+        axes = _by_image(at, 2).expand(len(self.frames), -1, -1)
         across = torch.einsum("bmij,bmjk->bmik", self.frames[..., :2], self.roots)  # (B, M, 3, 2)
         offsets = torch.einsum("bqi,bmik->bqmk", axes, across)
-        peaks = _LOG_AXIS + _log_determinant(self.roots) + self.log_weights[:, :-1]
-        of_each = peaks[:, None] - 0.5 * offsets.square().sum(-1)
+        of_each = self.log_peaks[:, None] - 0.5 * offsets.square().sum(-1)
         if self.is_directed:
             along = torch.einsum("bqi,bmi->bqm", axes, self.frames[..., 2])
             determinant = torch.diagonal(self.roots, dim1=-2, dim2=-1).prod(-1)
-            of_each = of_each + math.log(2.0) + 2.0 * determinant[:, None] * along.clamp(max=0.0)
-        return torch.logaddexp(torch.logsumexp(of_each, -1), self.log_weights[:, -1:])
+            of_each = of_each + 2.0 * determinant[:, None] * along.clamp(max=0.0)
+        return of_each
+
+    @property
+    def log_peaks(self) -> Tensor:
+        """Ln of each component's share of p at its mean (B, M)."""
+        of_direction = math.log(2.0) if self.is_directed else 0.0
+        return _LOG_AXIS + of_direction + _log_determinant(self.roots) + self.log_weights[:, :-1]
 
     def samples(self, count: int, rng: torch.Generator) -> Tensor:
         """Return axes (B, count, 3) drawn from the mixtures, the components taken as normal on their tangent planes."""

@@ -23,8 +23,6 @@ LEAST_CELL = 1e-9  # of a cell's probability: less is not told apart, and a file
 _SAMPLES = 1024
 _LEAST_WEIGHT = 0.01  # of a component that is a hypothesis
 _SAME = 6  # decimals to which axes are compared
-_SLACK = 1.25  # of the angle beyond which a component is taken to be below a level: it is not quite normal
-_EVERYWHERE_RAD = 1.0  # from where the whole grid is looked at
 
 Indices = npt.NDArray[np.int64]
 
@@ -69,13 +67,13 @@ class PoseDensity(ImageDensity):
     def log_t(self) -> float:
         """The logarithm of the threshold."""
         drawn = self.mixture.samples(_SAMPLES, self._rng)
-        at_samples = self.mixture.log_density(drawn)[0].numpy()
+        at_samples = self.mixture.of_image(drawn[0]).numpy()
         log_t, _ = best_threshold(at_samples, self._members, grid_size(4))
         return log_t + float(np.log(self._calibration.threshold))
 
     def log_density(self, R: Tensor) -> Tensor:
         """Return ln p (n,)."""
-        return self.mixture.log_density(R)[0]
+        return self.mixture.of_image(R)
 
     def log_claim(self, R: Tensor) -> Tensor:
         """Return ln p - ln t (n,)."""
@@ -83,23 +81,13 @@ class PoseDensity(ImageDensity):
 
     def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
         """Return grid indices, and ln p - ln t there."""
-        near = _above(self.mixture, self.log_t - CLAIMED_FROM, grid)
-        return near, self.log_claim(grid.rotations[near])
+        log_claim = self.log_claim(grid.rotations)
+        near = torch.nonzero(log_claim > -CLAIMED_FROM)[:, 0]
+        return near.numpy(), log_claim[near]
 
     def on_cells(self, grid: Grid) -> Tensor:
-        """Return ln p (N,) averaged over cells: the uniform component's, the others' where it is not too little."""
-        blurred = self.mixture.blurred(grid.blur_rad)
-        least = float(blurred.log_weights[0, -1])
-        log_p = torch.full((len(grid),), least)
-        kept, reach = _reach(blurred, max(least - 2.0, float(np.log(LEAST_CELL * len(grid)))))
-        is_broad = reach > _EVERYWHERE_RAD
-        if is_broad.any():
-            log_p = torch.logaddexp(log_p, blurred.only(kept[is_broad]).log_density(grid.rotations)[0])
-        if not is_broad.all():
-            narrow = blurred.only(kept[~is_broad])
-            near = grid.index.within(narrow.centres[0].double().numpy(), reach[~is_broad].numpy())
-            log_p[near] = torch.logaddexp(log_p[near], narrow.log_density(grid.rotations[near])[0])
-        return log_p
+        """Return ln p (N,) averaged over cells, nearly."""
+        return self.mixture.blurred(grid.blur_rad).of_image(grid.rotations)
 
     def hypotheses(self) -> npt.NDArray[np.float64]:
         """Return the centres of the components that weigh more than 0.01, the heaviest first, 30 at most."""
@@ -110,25 +98,6 @@ class PoseDensity(ImageDensity):
 
 
 CLAIMED_FROM = float(np.log(4.0) + np.log(9.0))  # below, a claim is under the floor of 0.1 of what a file lists
-
-
-def _reach(mixture: PoseMixture, log_p: float) -> tuple[Tensor, Tensor]:
-    """Return which components (k,) may lift a mixture above a level, and within which angles (k,) f8, in rad."""
-    peaks = mixture.log_peaks[0]
-    excess = peaks + float(np.log(len(peaks))) - log_p  # each may be one of M equals
-    kept = torch.nonzero(excess > 0)[:, 0]
-    least = torch.linalg.svdvals(mixture.roots[0, kept])[:, -1]
-    return kept, (_SLACK * torch.sqrt(2.0 * excess[kept]) / least).double()
-
-
-def _above(mixture: PoseMixture, log_p: float, grid: Grid) -> Indices:
-    """Return the indices of grid rotations at which a mixture may be above a level, and of some others."""
-    kept, reach = _reach(mixture, log_p)
-    if len(kept) == 0:
-        return np.zeros(0, dtype=np.int64)
-    if float(reach.max()) > _EVERYWHERE_RAD:
-        return np.arange(len(grid))
-    return grid.index.within(mixture.centres[0, kept].double().numpy(), reach.numpy())
 
 
 class CircleDensity(ImageDensity):
@@ -147,13 +116,13 @@ class CircleDensity(ImageDensity):
     @cached_property
     def log_t(self) -> float:
         """The logarithm of the threshold."""
-        at_samples = self.mixture.log_density(self.mixture.samples(_SAMPLES, self._rng))[0].numpy()
+        at_samples = self.mixture.of_image(self.mixture.samples(_SAMPLES, self._rng)[0]).numpy()
         log_t, _ = best_threshold(at_samples, len(self._body.group), grid_size(4))
         return log_t + float(np.log(self._calibration.threshold))
 
     def log_density(self, R: Tensor) -> Tensor:
         """Return ln p (n,)."""
-        return self.mixture.log_density(R @ self._body.axis)[0]
+        return self.mixture.of_image(R @ self._body.axis)
 
     def log_claim(self, R: Tensor) -> Tensor:
         """Return ln p - ln t (n,)."""
@@ -162,7 +131,7 @@ class CircleDensity(ImageDensity):
     def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
         """Return grid indices, and ln p - ln t there."""
         axes, which = grid.axes(self._axis)
-        log_claim = self.mixture.log_density(axes)[0] - self.log_t
+        log_claim = self.mixture.of_image(axes) - self.log_t
         near = torch.nonzero((log_claim > -CLAIMED_FROM)[which])[:, 0]
         return near.numpy(), log_claim[which[near]]
 
@@ -214,7 +183,7 @@ class MarkedCircleDensity(ImageDensity):
     @cached_property
     def hidden_threshold(self) -> tuple[float, float]:
         """The logarithm of t of the axis's density where the marking is hidden, and the F-measure it promises."""
-        at_samples = self.axis.log_density(self.axis.samples(_SAMPLES, self._rng))[0].numpy()
+        at_samples = self.axis.of_image(self.axis.samples(_SAMPLES, self._rng)[0]).numpy()
         log_t, f = best_threshold(at_samples, len(self._body.group), grid_size(4))
         return log_t + float(np.log(self._calibration.hidden_threshold)), f
 
@@ -234,27 +203,27 @@ class MarkedCircleDensity(ImageDensity):
     def _shown_at_samples(self) -> Tensor:
         """Return ln p of the shown density at samples of it: of the axis, then of the turn about it."""
         axes = self.axis.samples(_AXIS_SAMPLES, self._rng)[0]
-        log_q = self.pose.log_density((_frames_of(axes, self._body)[:, None] @ self._body.group).flatten(0, 1))[0]
+        log_q = self.pose.of_image((_frames_of(axes, self._body)[:, None] @ self._body.group).flatten(0, 1))
         log_q = log_q.reshape(len(axes), len(self._body.group))
         log_conditional = log_q - torch.logsumexp(log_q, 1, keepdim=True)
         turns = torch.multinomial(log_conditional.exp(), 1, generator=self._rng)
         turned = torch.gather(log_conditional, 1, turns)[:, 0] + float(np.log(log_q.shape[1]))
-        return self.axis.log_density(axes)[0] + turned
+        return self.axis.of_image(axes) + turned
 
     def _log_mean_pose(self, R: Tensor) -> Tensor:
         """Return ln of the mean over g of q(R g) (n,): of the axes R a, of which there are few."""
         rounded = (R @ self._body.axis).numpy().round(_SAME) + 0.0
         _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
         every = (R[first][:, None] @ self._body.group).flatten(0, 1)
-        log_q = self.pose.log_density(every)[0].reshape(len(first), len(self._body.group))
+        log_q = self.pose.of_image(every).reshape(len(first), len(self._body.group))
         return (torch.logsumexp(log_q, 1) - float(np.log(log_q.shape[1])))[which.reshape(-1)]
 
     def _log_shown(self, R: Tensor) -> Tensor:
-        conditional = self.pose.log_density(R)[0] - self._log_mean_pose(R)
-        return self.axis.log_density(R @ self._body.axis)[0] + conditional
+        conditional = self.pose.of_image(R) - self._log_mean_pose(R)
+        return self.axis.of_image(R @ self._body.axis) + conditional
 
     def _log_hidden(self, R: Tensor) -> Tensor:
-        return self.axis.log_density(R @ self._body.axis)[0] + self._views.log_relative(R)
+        return self.axis.of_image(R @ self._body.axis) + self._views.log_relative(R)
 
     def log_density(self, R: Tensor) -> Tensor:
         """Return ln p (n,)."""
@@ -266,7 +235,7 @@ class MarkedCircleDensity(ImageDensity):
         """Return ln p - ln t (n,); where the marking is taken to be hidden, or a view's logit that it is, if lower."""
         if self.takes_it_for_shown:
             return self._log_shown(R) - self.shown_threshold[0]
-        of_axis = self.axis.log_density(R @ self._body.axis)[0] - self.hidden_threshold[0]
+        of_axis = self.axis.of_image(R @ self._body.axis) - self.hidden_threshold[0]
         return torch.minimum(of_axis, self._views.logit(R))
 
     def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
@@ -275,7 +244,7 @@ class MarkedCircleDensity(ImageDensity):
         least = self.hidden_threshold[0]
         if self.takes_it_for_shown:
             least = self.shown_threshold[0] - float(np.log(len(self._body.group)))
-        near = torch.nonzero((self.axis.log_density(axes)[0] > least - CLAIMED_FROM)[which])[:, 0]
+        near = torch.nonzero((self.axis.of_image(axes) > least - CLAIMED_FROM)[which])[:, 0]
         return near.numpy(), self.log_claim(grid.rotations[near])
 
     def on_cells(self, grid: Grid) -> Tensor:
@@ -287,7 +256,7 @@ class MarkedCircleDensity(ImageDensity):
     def _on_grid(self, grid: Grid) -> Tensor:
         """Return ln p (N,) on the grid; the pose's part only where the axis's density is not uniform."""
         axes, which = grid.axes(self._axis_key)
-        of_axis = self.axis.log_density(axes)[0]
+        of_axis = self.axis.of_image(axes)
         log_p = of_axis[which] + self._views.log_relative_on(grid)
         log_p += float(np.log1p(-min(self.probability_shown, 1.0 - 1e-6)))
         near = torch.nonzero((of_axis > float(self.axis.log_weights[0, -1]) + 0.1)[which])[:, 0]
@@ -298,7 +267,7 @@ class MarkedCircleDensity(ImageDensity):
         """Return the likeliest rotation where the marking shows, else 30 spread evenly over the views that hide it."""
         candidates = _frame(self._told.axis, self._body) @ self._body.group
         if self.probability_shown > 0.5:
-            return candidates[self.pose.log_density(candidates)[0].argmax()][None].double().numpy()
+            return candidates[self.pose.of_image(candidates).argmax()][None].double().numpy()
         hidden = torch.nonzero(self._views.logit(candidates) > 0)[:, 0]
         kept = candidates[hidden] if len(hidden) >= HYPOTHESES else candidates
         chosen = ((np.arange(HYPOTHESES) + 0.5) * len(kept) / HYPOTHESES).astype(int)
