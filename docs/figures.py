@@ -9,6 +9,7 @@ from matplotlib.path import Path as Polygon
 
 from symsol_annot.annotation.visibility import MarkingVisibility
 from symsol_annot.objects.spec import load_object
+from symsol_annot.plotting.canvas import legend_below
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
 from symsol_annot.rendering.settings import RenderSettings
@@ -33,15 +34,19 @@ def main():
         raise SystemExit("a count lies outside its bounds")
     mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     figure, (whole, end, samples) = plt.subplots(
-        1, 3, figsize=(12, 3.6), width_ratios=(1.3, 1, 1), layout="constrained"
+        1, 3, figsize=(12, 3.9), width_ratios=(1.3, 1, 1), layout="constrained"
     )
     _draw_decisions(whole, counts, lower, upper, range(360))
-    whole.set(yscale="symlog", title="one circle of candidates of a hidden view", ylabel="samples of the disc")
+    whole.set(
+        yscale="symlog", title="one circle of candidates of a hidden view", ylabel="samples of the disc that show"
+    )
     first = _end_of_arc(counts)
     _draw_decisions(end, counts, lower, upper, range(first - 3, first + 4))
-    end.set(yscale="symlog", title="where the arc ends")
+    end.set(yscale="symlog", title="where the arc ends", ylabel="samples of the disc that show")
+    marks, _ = whole.get_legend_handles_labels()
     barely = next(k for k in range(first, first + 6) if counts[k] >= 6)
     _draw_samples(samples, spec.mesh, camera.lattice(settings.samples_per_axis), candidates[barely], counts[barely])
+    legend_below(figure, [*marks, *samples.get_legend_handles_labels()[0]], columns=6)
     path = Path(__file__).parent / "images" / "annotation.png"
     figure.savefig(path, dpi=130)
     print(path)
@@ -65,9 +70,10 @@ def _draw_decisions(axes, counts, lower, upper, shown):
     for label, (is_in, colour, marker) in groups.items():
         x = shown[is_in[shown]]
         if len(x):
-            axes.plot(x, counts[x], marker, color=colour, ms=3, label=f"{label}: {is_in[:360].sum()}")
+            axes.plot(
+                x, counts[x], marker, color=colour, ms=3, label=f"{label}: {is_in[:360].sum()} of the circle's 360"
+            )
     axes.set(xlabel="turn about the cylinder's axis, degrees", ylim=(-0.5, None))
-    axes.legend(fontsize=7, frameon=False)
 
 
 def _draw_samples(axes, mesh, lattice, R, count):
@@ -84,10 +90,14 @@ def _draw_samples(axes, mesh, lattice, R, count):
     u, v = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
     centres = np.stack([u.ravel(), v.ravel()], axis=1)
     is_inside = np.any([Polygon(corners).contains_points(centres) for corners in disc], axis=0)
-    axes.plot(*centres[~is_inside].T, ".", color="#999999", ms=3)
-    axes.plot(*centres[is_inside].T, "o", color=OPEN, ms=4)
+    axes.plot(*centres[~is_inside].T, ".", color="#999999", ms=3, label="sample beside the disc")
+    axes.plot(*centres[is_inside].T, "o", color=OPEN, ms=4, label="sample on the disc")
     axes.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), xticks=[], yticks=[])
-    axes.set(title=f"a sliver of the disc at the rim: {count} samples", xlabel="samples of the lattice (stretched)")
+    axes.set(
+        title=f"a sliver of the disc at the rim: {count} samples",
+        xlabel="along the rows of pixels (stretched)",
+        ylabel="down the image",
+    )
 
 
 if __name__ == "__main__":

@@ -80,9 +80,15 @@ def draw_pixels():
     arrow = {"arrowstyle": "->"}
     centre = "centre of the pixel in row 0, column 0:\n(u, v) = (0.5, 0.5)"
     weights = "weights, over 16, of the samples\nof the pixel in row 1, column 2"
-    axes.annotate(centre, (0.55, 0.45), (0.1, -0.7), arrowprops=arrow)
-    axes.annotate(weights, (2.9, 1.1), (3.0, -0.7), arrowprops=arrow)
-    axes.set(xlim=(-0.15, columns + 0.15), ylim=(rows + 0.15, -0.9), aspect="equal", xlabel="u", ylabel="v")
+    axes.annotate(centre, (0.58, 0.45), (0.1, -0.7), arrowprops=arrow | {"relpos": (0.6, 0.0)})
+    axes.annotate(weights, (2.75, 1.02), (2.9, -0.7), arrowprops=arrow | {"relpos": (0.05, 0.0)})
+    axes.set(
+        xlim=(-0.15, columns + 0.15),
+        ylim=(rows + 0.15, -0.9),
+        aspect="equal",
+        xlabel="u, to the right, in pixels",
+        ylabel="v, downwards, in pixels",
+    )
     axes.set(xticks=range(columns + 1), yticks=range(rows + 1))
     axes.spines[:].set_visible(False)
     _save(figure, "pixels")

@@ -224,13 +224,13 @@ def _sha256_of_pictures(instances: Sequence[Instance], workers: int) -> dict[Pat
     """Return the SHA-256 of each picture.
 
     Raises:
-        DataError: one cannot be read.
+        DataError: one cannot be read, or is larger than a picture may be.
     """
     paths = list(dict.fromkeys(instance.picture for instance in instances))
 
     def sha256(path: Path) -> str:
         with as_data_error(str(path)):
-            return file_sha256(path)
+            return file_sha256(path, MAX_PHOTO_BYTES)
 
     with ThreadPoolExecutor(workers, thread_name_prefix="import") as pool:
         return dict(zip(paths, pool.map(sha256, paths), strict=True))

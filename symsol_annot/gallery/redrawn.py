@@ -67,7 +67,7 @@ class Redrawer:
         open_renderer: OpenRenderer = RenderProcess,
     ) -> None:
         self._renderer: Renderer | None = None
-        self.missing = "none were asked for"
+        self.missing = "the gallery was made with --redrawn 0"
         if count:
             self._renderer, self.missing = _opened(source.dataset, given, open_renderer)
         self.images = _chosen_images(len(source.dataset), count, runs) if self._renderer else ()

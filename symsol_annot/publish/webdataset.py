@@ -42,13 +42,14 @@ def group_to_npy(symmetry_group: Rotations) -> bytes:
 def _labels(sample: Sample) -> dict[str, Any]:
     """Return what is known of an image: floats to the last bit; members of its set by their numbers in the group."""
     members = np.flatnonzero(sample.symmetry_mask).tolist() if sample.symmetry_mask is not None else None
-    pixels = float(sample.marking_pixels)
+    pixels, parts = float(sample.marking_pixels), sample.part_pixels
     return {
         "index": sample.index,
         "rotation": sample.rotation.tolist(),
         "symmetries": members,
         "marking_pixels": None if math.isnan(pixels) else pixels,
         "marking_visible": sample.marking_visible,
+        "part_pixels": None if parts is None else [float(area) for area in parts],
     }
 
 

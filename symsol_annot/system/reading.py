@@ -48,7 +48,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
         while block := file.read(_BLOCK_BYTES):  # at once, memory for the whole limit would be taken
             data += block
             if len(data) > limit:
-                raise OSError(errno.EFBIG, f"is larger than the {limit:,} bytes that such a file may have", str(path))
+                raise _too_large(path, limit)
     return bytes(data)
 
 
@@ -86,14 +86,24 @@ def read_text(path: Path, limit: int) -> str:
     return read_bytes(path, limit).decode("utf-8-sig")
 
 
-def file_sha256(path: Path) -> str:
+def file_sha256(path: Path, limit: int | None = None) -> str:
     """Return the SHA-256 of a regular file, as hexadecimal.
 
+    Args:
+        path: of the file; a link is followed.
+        limit: how many bytes it may have; any number by default.
+
     Raises:
-        OSError: it is missing, unreadable, or no regular file.
+        OSError: it is missing, unreadable, no regular file, or larger than `limit`; `strerror` says which.
     """
     with os.fdopen(open_regular(path), "rb") as file:
+        if limit is not None and os.fstat(file.fileno()).st_size > limit:
+            raise _too_large(path, limit)
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _too_large(path: Path, limit: int) -> OSError:
+    return OSError(errno.EFBIG, f"is larger than the {limit:,} bytes that such a file may have", str(path))
 
 
 def _refuse_irregular(status: os.stat_result) -> None:

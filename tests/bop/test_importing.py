@@ -196,6 +196,16 @@ def link_out(name):
     return damage
 
 
+def longer(name, size):
+    """A file that says this size, the end of which takes no room."""
+
+    def damage(root):
+        with (root / name).open("r+b") as file:
+            file.truncate(size)
+
+    return damage
+
+
 PICTURE = f"{SCENE}/rgb/000001.png"
 HEADER = b"IHDR" + (100_000).to_bytes(4, "big") * 2 + b"\x08\x02\0\0\0"
 GIANT = b"\x89PNG\r\n\x1a\n\0\0\0\r" + HEADER + zlib.crc32(HEADER).to_bytes(4, "big") + b"\0\0\0\0IEND\xaeB`\x82"
@@ -238,6 +248,7 @@ HOSTILE = {
         lambda root: (root / PICTURE).unlink() or (root / PICTURE).symlink_to("000001.png"),
         "000001.png: (cannot be followed|Too many levels)",
     ),
+    "a picture of 8 GiB": (longer(PICTURE, 2**33), r"000001.png: .*larger than the 134,217,728 bytes"),
     "no scenes": (lambda root: shutil.move(root / SCENE, root / "test/scene"), "test: has no scenes"),
     "no split": (lambda root: shutil.move(root / "test", root / "val"), "test: no such folder; .* has models, val"),
     "no box": (info(size_x=None), "min and size: expected 6 numbers"),

@@ -15,7 +15,7 @@ def test_the_command_writes_the_folder_and_says_where(here, data, preds, tmp_pat
     done = here("gallery", *words)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{out / 'index.html'}: 110 images, 3 runs\n", "")
     _, index = documents(out / "data" / "index.js")
-    assert {one["redrawn"]["missing"] for one in index["sets"]} == {"none were asked for"}
+    assert {one["redrawn"]["missing"] for one in index["sets"]} == {"the gallery was made with --redrawn 0"}
     refused = here("gallery", data, "--predictions", tmp_path / "none.h5", "--out", out)
     assert (refused.returncode, refused.stderr.count("Error:")) == (1, 1)
     assert here("gallery", data, "--split", "validation").returncode == 2

@@ -3,10 +3,14 @@
 import json
 from functools import partial
 
+import h5py
+import numpy as np
 import pytest
+from bundles import assert_all_in_tar_files, assert_all_same
 from made_sets import make_set, threads
 from mesh_renderer import MeshRenderer
 
+import symsol_annot
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.spec import load_object
 from symsol_annot.publish.about import About
@@ -26,8 +30,19 @@ def parted(tmp_path_factory):
     plan = SetPlan(load_object("box"), {"test": 6}, 0, Camera.filling(16), RenderSettings(), "test")
     generate(plan, folder / "data" / "box", threads(partial(MeshRenderer, plan.spec, plan.camera)))
     make_set(folder / "data", "tetX", test=3, size=16)
-    publish(sets_in(folder / "data"), folder / "bundle", About())
+    publish(sets_in(folder / "data"), folder / "bundle", About(), as_webdataset=True)
     return folder / "bundle"
+
+
+@pytest.fixture(scope="module")
+def samples(parted):
+    """The box's images, which do not all show the same parts."""
+    samples = symsol_annot.load(parted / "data" / "box", "test")
+    shown = samples.labels().part_pixels > 0
+    assert shown.shape == (6, 6)
+    assert len(np.unique(shown, axis=0)) > 1
+    assert samples.labels().symmetry_mask.shape == (6, len(samples.symmetry_group)) == (6, 8)
+    return samples
 
 
 def test_the_card_names_parts_and_their_rule_beside_the_marking(parted):
@@ -44,3 +59,43 @@ def test_croissant_describes_each_sets_ids_by_its_own_parts(parted):
     assert described["tetX_test/segmentation"] == "Grey PNG of ids: 0 background, 1 body, 2 marking."
     assert "that break the symmetry" in described["box_test/marking_pixels"]
     assert "The marking's visible area" in described["tetX_test/marking_pixels"]
+
+
+def test_datasets_reads_every_image_of_parts_from_shards_and_parquet(parted, samples, tmp_path, no_network):
+    import datasets
+
+    shards = str(parted / "data" / "box" / "test-*.h5")
+    rows = datasets.load_dataset("hdf5", data_files=shards, split="train", cache_dir=str(tmp_path))
+    with h5py.File(next(iter(sorted((parted / "data" / "box").glob("test-*.h5"))))) as file:
+        group = file.attrs["symmetry_group"]
+    assert len(rows) == len(samples)
+    for row, sample in zip(rows, samples, strict=True):
+        for name in ("image", "segmentation", "rotation", "symmetry_mask", "part_pixels"):
+            assert np.array_equal(np.array(row[name]), getattr(sample, name)), name
+        symmetry_set = np.array(row["rotation"]) @ group[np.array(row["symmetry_mask"])]
+        assert np.array_equal(symmetry_set, sample.symmetry_set.members)
+    assert_all_same(datasets.load_dataset(str(parted), "box", split="test", cache_dir=str(tmp_path)), samples)
+
+
+@pytest.mark.filterwarnings("ignore:.*is deprecated:DeprecationWarning")
+def test_croissant_and_webdataset_hold_every_image_of_parts(parted, samples, no_network):
+    import mlcroissant
+
+    records = list(mlcroissant.Dataset(jsonld=parted / "croissant.json").records("box_test"))
+    rows = [{field.partition("/")[2]: value for field, value in record.items()} for record in records]
+    assert_all_same(rows, samples)
+    assert_all_in_tar_files(parted / "webdataset" / "box", "test", samples)
+
+
+def test_torchs_loader_batches_images_of_parts_with_sets_of_any_size(parted, samples):
+    torch_data = pytest.importorskip("torch.utils.data")
+    from symsol_annot.torch import SymsolDataset
+
+    (batch,) = torch_data.DataLoader(samples, batch_size=8, collate_fn=list)
+    assert [sample.symmetry_set.members.tolist() for sample in batch] == [
+        sample.symmetry_set.members.tolist() for sample in samples
+    ]
+    (stacked,) = torch_data.DataLoader(SymsolDataset(parted / "data" / "box", split="test"), batch_size=8)
+    assert np.array_equal(stacked["part_pixels"], np.stack([sample.part_pixels for sample in samples]))
+    assert np.array_equal(stacked["symmetry_mask"], np.stack([sample.symmetry_mask for sample in samples]))
+    assert np.array_equal(stacked["image"], np.stack([sample.image.transpose(2, 0, 1) for sample in samples]))

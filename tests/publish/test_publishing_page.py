@@ -23,19 +23,21 @@ def test_the_publishing_page_runs_word_for_word(data, tmp_path, monkeypatch, no_
     first, fetching = re.findall(r"```sh\n(.*?)```", page, flags=re.DOTALL)
     _, publishing, checking = first.strip().splitlines()
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
-    done = run("sh", "-c", f"{publishing} && {checking} && {fetching}", cwd=tmp_path)
+    done = run("sh", "-c", f"{publishing} --webdataset && {checking} && {fetching}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "cylO, tet, tetX: 12 shards, 159 images" in done.stdout
     assert snapshot(tmp_path / "elsewhere" / "cylO") == snapshot(data / "cylO")
     assert 'pretty_name: "Symmetric objects"' in (tmp_path / "bundle" / "README.md").read_text()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("datasets.config.HF_DATASETS_CACHE", tmp_path / "cache")
-    by_datasets, by_croissant = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
-    names, others = {}, {}
+    by_datasets, by_tar_files, by_croissant = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    names, packed, others = {}, {}, {}
     exec(by_datasets, names)
+    exec(by_tar_files, packed)
     exec(by_croissant, others)
     test = symsol_annot.load("data/cylO")
     assert names["symmetry_set"].tobytes() == test[0].symmetry_set.tobytes()
+    assert [row["json"]["rotation"] for row in packed["rows"]] == [sample.rotation.tolist() for sample in test]
     assert np.array_equal(others["record"]["cylO_test/rotation"], test[-1].rotation)
 
 

@@ -1,9 +1,14 @@
 """What a bundle is compared with: the sets that are in it, its bytes, and what refuses it."""
 
+import io
+import json
 import subprocess
+import tarfile
+from itertools import groupby
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from symsol_annot.publish.about import About
 from symsol_annot.publish.publication import publish
@@ -41,6 +46,41 @@ def assert_all_same(rows, samples):
     assert len(rows) == len(samples)
     for row, sample in zip(rows, samples, strict=True):
         assert_same(row, sample)
+
+
+def records_in_tar(path):
+    """The files of each image by their endings, as WebDataset groups them: by the name up to the first dot."""
+    with tarfile.open(path) as archive:
+        files = [(member.name.partition("."), archive.extractfile(member).read()) for member in archive]
+    for _, group in groupby(files, key=lambda file: file[0][0]):
+        yield {ending: data for (_, _, ending), data in group}
+
+
+def row_of_record(record, group):
+    """A record of a WebDataset, its files decoded, as a row of any mirror; `group` is the set's symmetry group."""
+    symmetries = record["json"]["symmetries"]
+    mask = None if symmetries is None else np.isin(np.arange(len(group)), symmetries)
+    return {
+        **record["json"],
+        "image": record["png"],
+        "segmentation": record["segmentation.png"],
+        "symmetry_mask": mask,
+    }
+
+
+def assert_all_in_tar_files(folder, split, samples):
+    """The tar files of a WebDataset hold these samples, to the bit, and nothing else."""
+    records = [record for path in sorted(folder.glob(f"{split}-*.tar")) for record in records_in_tar(path)]
+    assert len(records) == len(samples)
+    group = np.load(folder / "symmetry_group.npy")
+    for sample, record in zip(samples, records, strict=True):
+        assert set(record) == {"png", "segmentation.png", "json"}
+        pictures = {name: Image.open(io.BytesIO(record[name])) for name in ("png", "segmentation.png")}
+        labels = json.loads(record["json"])
+        assert_same(row_of_record({**pictures, "json": labels}, group), sample)
+        if sample.is_annotated:
+            members = np.array(labels["rotation"]) @ group[labels["symmetries"]]
+            assert np.array_equal(members, sample.symmetry_set.members)
 
 
 def assert_whole(bundle):

@@ -55,6 +55,12 @@ def check_group(group):
     _require(bool(off.max() < _SAME), "symmetry_group: no group: a product of two is not in it")
 
 
+def check_rotations(R):
+    """Raise a SilentError where matrices are no rotations, as closely as predictions have to be."""
+    off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(initial=0.0)
+    _require(bool(off < _SAME and (np.linalg.det(R) > 0).all()), "rotations: not in SO(3)")
+
+
 def check_same(found, expected, what):
     """Raise a SilentError where arrays or numbers are not the expected ones."""
     same = np.array_equal(np.asarray(found), np.asarray(expected), equal_nan=np.asarray(expected).dtype.kind == "f")

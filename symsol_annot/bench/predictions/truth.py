@@ -21,6 +21,7 @@ from symsol_annot.sealing.labels import labelled_split
 from symsol_annot.sets.dataset import Dataset, Labels, load
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.sets.manifest import Manifest, read_manifest
+from symsol_annot.sets.sample_set import SAMPLE_OBJECTS, sample_folder
 from symsol_annot.system.text.names import SPLITS
 
 HARD_NEGATIVE_RAD = float(np.radians(5.0)) + 1e-9  # the slack is for labels, which are float64
@@ -225,6 +226,8 @@ def opened_truth(dataset: Dataset, secrets: Sequence[Path]) -> Truth:
 def find_set(data: str | os.PathLike[str], object_name: str, split: str = "test", fingerprint: str = "") -> Path:
     """Return the folder of an object's set, whatever it is called: `data` itself where it is a set, else one in it.
 
+    Where none of them has the fingerprint, and the set that comes with the package has it, it is that one.
+
     Args:
         data: a set's folder, or the folder of sets.
         object_name: which object the set's manifest must name.
@@ -242,8 +245,9 @@ def find_set(data: str | os.PathLike[str], object_name: str, split: str = "test"
     manifests = {place: _manifest(place) for place in folders}
     of_object = [place for place, found in manifests.items() if found and found.settings.object == object_name]
     by_content = [p for p in of_object if fingerprint and _split_fingerprint(manifests[p], split) == fingerprint]
+    of_sample = [] if by_content else _sample_with(object_name, split, fingerprint)
     by_name = [place for place in folders if place.name == object_name and place in (of_object or folders)]
-    for chosen in (by_content, by_name, of_object):
+    for chosen in (by_content, of_sample, by_name, of_object):
         if len(chosen) == 1 or (chosen and chosen is by_content):  # sets of the same contents serve alike
             return chosen[0]
     if of_object:
@@ -275,6 +279,15 @@ def read_subject(
         if secrets and dataset.manifest.is_sealed:
             return opened_truth(dataset, secrets)
         return subject_of(dataset)
+
+
+def _sample_with(object_name: str, split: str, fingerprint: str) -> list[Path]:
+    """Return the folder of the package's own set of an object, if the split's fingerprint is this one."""
+    folder = sample_folder() / object_name
+    is_it = (
+        fingerprint and object_name in SAMPLE_OBJECTS and _split_fingerprint(_manifest(folder), split) == fingerprint
+    )
+    return [folder] if is_it else []
 
 
 def _manifest(folder: Path) -> Manifest | None:

@@ -33,10 +33,6 @@ SYMSOL.sphere = (() => {
   function draw(place, scene) {
     const svg = node("svg", { viewBox: "-290 -148 580 296", "aria-hidden": "true" });
     svg.append(graticule());
-    for (const [longitude, latitude, text] of LABELS) {
-      const [x, y] = at(rad(longitude), rad(latitude));
-      svg.append(node("text", { x, y: y + 12, class: "map-label" }, text));
-    }
     const radius = scene.members.length > 60 ? 3 : 5.5;
     for (const quaternion of scene.members) {
       const { longitude, latitude, tilt } = direction(quaternion);
@@ -48,6 +44,10 @@ SYMSOL.sphere = (() => {
       const d = diamond(...at(longitude, latitude), 3 + 4 * Math.sqrt(scene.weights[i]));
       svg.append(node("path", { d, class: "predicted", fill: tiltColour(tilt) }));
     });
+    for (const [longitude, latitude, text] of LABELS) {
+      const [x, y] = at(rad(longitude), rad(latitude));
+      svg.append(node("text", { x, y: y + 12, class: "map-label" }, text));
+    }
     ring(svg, scene.own, "own");
     if (scene.marked) ring(svg, scene.marked, "marked");
     place.replaceChildren(svg);

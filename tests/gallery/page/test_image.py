@@ -125,5 +125,5 @@ def test_what_was_drawn_again_is_shown_and_otherwise_said_why_not(page):
     assert page.run("document.querySelectorAll('#sphere .marked').length") == 1
     page.open(image="0/0")
     page.title("cylO · test 0")
-    assert "none were asked for" in page.text("drawings")
+    assert "the gallery was made with --redrawn 0" in page.text("drawings")
     page.open(image="2/0", find="0")

@@ -105,9 +105,9 @@ def plot_curves(path: Path) -> None:
             axes.set_title(f"{shown.figure}: truth at {', '.join(f'{t:.3g}' for t in shown.truths_rad)}", fontsize=8)
             axes.set(xlim=(0.0, 2.0 * np.pi), ylim=(0.0, None))
             axes.tick_params(labelsize=7)
-            if row == len(CURVES) - 1:
-                axes.set_xlabel("rotation about the axis, rad", fontsize=8)
-    figure.supylabel("loss, summed over the true rotations", fontsize=9)
+            axes.set_xlabel("rotation about the axis, rad", fontsize=8)
+            if column == 0:
+                axes.set_ylabel("loss, summed over\nthe true rotations", fontsize=8)
     lines = [legend_mark(label, colour, line="-") for label, colour in colours.items()]
     legend_below(figure, [*lines, legend_mark("true rotation", "0.6", line=":")], columns=5)
     write_figure(figure, path)

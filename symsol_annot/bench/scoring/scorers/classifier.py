@@ -24,8 +24,8 @@ SWEPT_THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 EXACT_F = 0.999  # the members and next to nothing beside them: no function of R that is continuous ends so sharply
 NEAR_SET_RAD = float(np.radians(0.5))
 F_NOTE = (
-    "  F is not compared from one stratum to another: a set of 720 has more grid rotations around it than a set of 1,",
-    "  but not 720 times as many, so that equally tight answers have other precisions.",
+    "  F is not compared from one stratum to another: a set of 720 has more grid rotations around it than a set of 1, "
+    "but not 720 times as many, so that equally tight answers have other precisions."
 )
 _DECOY_FACTOR, _DECOY_SLACK = 3.0, 0.01
 
@@ -276,7 +276,7 @@ def _count_above(probability: npt.NDArray[Any], thresholds: npt.NDArray[np.float
 def _caption(entry: Mapping[str, Any]) -> Iterator[str]:
     yield f"  p > {entry['threshold']}, grid of level {entry['grid_level']}; the sweep is in --json"
     if "hidden" in entry:
-        yield from F_NOTE
+        yield F_NOTE
 
 
 def _is_exact(figures: Mapping[str, Any]) -> bool:
