@@ -1,6 +1,7 @@
 """Regions of the sphere that consist of pieces of bands: which points are inside, and how far others are from them."""
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,7 @@ from symsol_annot.rotations.so3 import Angles
 Reals = npt.NDArray[np.float64]
 
 _PAIRS_AT_ONCE = 2**20
+_PIECE = 4.0  # more than a polar angle can be
 
 
 class Bands:
@@ -43,44 +45,59 @@ class Bands:
         return polar, 2.0 * np.pi * (piece + rng.random(len(piece)) - 0.5) / self._inside.shape[1]
 
     def distance(self, polar: Angles, longitude: Angles) -> Angles:
-        """Return the angles (n,) in rad from points (n,) outside the region to its edge.
+        """Return the angles (n,) in rad from points (n,) outside the region to its edge, to 1e-7.
 
-        The edge consists of arcs of parallels and of meridians. The point of a parallel's arc that is nearest to a
-        given one is at the longitude nearest to it; that of a meridian's arc is the foot of the perpendicular or an
-        end, and every end is on a parallel's arc or at a pole.
+        The edge consists of arcs of parallels and of meridians. The point of an arc that is nearest to a given one is
+        one of its ends, or the foot of the perpendicular: on a parallel's arc at the same longitude, on a meridian's in
+        the plane through the axis.
         """
-        step = max(1, _PAIRS_AT_ONCE // (1 + len(self._parallels) + len(self._meridians)))
-        parts = [slice(start, start + step) for start in range(0, len(polar), step)]
-        haversines = [self._least_haversine(polar[part][:, None], longitude[part][:, None]) for part in parts]
-        return 2.0 * np.arcsin(np.sqrt(np.clip(np.concatenate([np.zeros(0), *haversines]), 0.0, 1.0)))
+        across = np.sin(polar)
+        points = np.stack([across * np.cos(longitude), across * np.sin(longitude), np.cos(polar)], axis=-1)
+        to_ends = np.full(len(points), np.pi)
+        if self._ends is not None:
+            to_ends = 2.0 * np.arcsin(np.minimum(self._ends.query(points)[0] / 2.0, 1.0))
+        step = max(1, _PAIRS_AT_ONCE // (1 + len(self._meridians)))
+        parts = [points[start : start + step] for start in range(0, len(points), step)]
+        to_meridians = np.concatenate([np.zeros(0), *(self._to_meridians(part) for part in parts)])
+        return np.minimum(np.minimum(to_ends, to_meridians), self._to_parallels(polar, longitude))
 
-    def _least_haversine(self, polar: Reals, longitude: Reals) -> Reals:
-        """Return sin^2(angle / 2) of the angles (n,) from points (n, 1) to the edge."""
-        at, first, length = self._parallels.T
-        beyond = (longitude - first) % (2.0 * np.pi)
-        gap = np.where(beyond <= length, 0.0, np.minimum(beyond - length, 2.0 * np.pi - beyond))
-        least = _haversine(polar - at, np.sin(polar) * np.sin(at), gap).min(axis=1, initial=1.0)
+    def _to_parallels(self, polar: Angles, longitude: Angles) -> Angles:
+        """Return the angles (n,) to the nearest arc of a parallel at the same longitude; infinite where none is."""
+        edges = self._edges_by_piece
+        piece = np.rint(longitude * self._inside.shape[1] / (2.0 * np.pi)).astype(np.int64) % self._inside.shape[1]
+        place = np.searchsorted(edges, _PIECE * piece + polar)
+        around = np.concatenate([[-np.inf], edges, [np.inf]])[place[:, None] + [0, 1]] - (_PIECE * piece)[:, None]
+        is_there = (around >= 0.0) & (around < _PIECE)
+        return np.where(is_there, np.abs(around - polar[:, None]), np.inf).min(axis=1)
+
+    def _to_meridians(self, points: Reals) -> Angles:
+        """Return the angles from unit vectors (n, 3) to the nearest arc of a meridian that has the foot; else pi."""
         at, first, last = self._meridians.T
-        turn = longitude - at
-        foot = np.arctan2(np.sin(polar) * np.cos(turn), np.cos(polar))
-        of_foot = _haversine(polar - foot, np.sin(polar) * np.sin(foot), turn)
-        on_arc = np.where((foot >= first) & (foot <= last), of_foot, 1.0)
-        return np.minimum(least, on_arc.min(axis=1, initial=1.0))
+        outwards = np.stack([np.cos(at), np.sin(at), np.zeros(len(at))])
+        aside = np.stack([-np.sin(at), np.cos(at), np.zeros(len(at))])
+        axis = np.array([[0.0], [0.0], [1.0]])
+        after_first = points @ (outwards * np.cos(first) - axis * np.sin(first)) >= 0.0
+        before_last = points @ (axis * np.sin(last) - outwards * np.cos(last)) >= 0.0
+        sines = np.where(after_first & before_last, np.abs(points @ aside), np.inf).min(axis=1, initial=np.inf)
+        return np.where(np.isinf(sines), np.pi, np.arcsin(np.minimum(sines, 1.0)))
 
     @cached_property
-    def _parallels(self) -> Reals:
-        """(a, 3) polar angle, first longitude and length of each arc of the edge along a parallel."""
-        pieces = self._inside.shape[1]
-        found = []
-        for band in range(1, len(self._inside)):
-            differs = self._inside[band - 1] != self._inside[band]
-            found += [
-                (self._edges[band], 2.0 * np.pi * (first - 0.5) / pieces, 2.0 * np.pi * count / pieces)
-                for first, count in _runs_around(differs)
-            ]
-        ends = ((0, 0.0), (-1, np.pi))
-        found += [(pole, 0.0, 2.0 * np.pi) for band, pole in ends if self._inside[band].any()]
-        return np.array(found).reshape(-1, 3)
+    def _edges_by_piece(self) -> Reals:
+        """(e,) ascending: `_PIECE` times a piece's number, and the polar angle of an edge across that piece."""
+        band, piece = np.nonzero(self._inside[:-1] != self._inside[1:])
+        return np.sort(_PIECE * piece + self._edges[band + 1])
+
+    @cached_property
+    def _ends(self) -> Any:
+        """A tree of the ends of the edge's arcs, and the poles that are inside; None where there are none."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - it is slow to load
+
+        at, first, last = self._meridians.T
+        polar, longitude = np.concatenate([first, last]), np.concatenate([at, at])
+        poles = [[0.0, 0.0, 1.0 - 2.0 * (band < 0)] for band in (0, -1) if self._inside[band].any()]
+        ends = np.stack([np.sin(polar) * np.cos(longitude), np.sin(polar) * np.sin(longitude), np.cos(polar)], axis=-1)
+        found = np.concatenate([ends, np.reshape(poles, (-1, 3))])
+        return cKDTree(found) if len(found) else None
 
     @cached_property
     def _meridians(self) -> Reals:
@@ -93,19 +110,3 @@ class Bands:
             longitude = 2.0 * np.pi * (piece - 0.5) / pieces
             found += [(longitude, self._edges[a], self._edges[b]) for a, b in bounds.reshape(-1, 2)]
         return np.array(found).reshape(-1, 3)
-
-
-def _haversine(difference: Reals, product_of_sines: Reals, turn: Reals) -> Reals:
-    """Return sin^2(angle / 2) between points whose polar angles differ by one angle, and longitudes by another."""
-    found: Reals = np.sin(difference / 2.0) ** 2 + product_of_sines * np.sin(turn / 2.0) ** 2
-    return found
-
-
-def _runs_around(flags: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first place and the length of each run of flags that are set around a circle (n,)."""
-    if flags.all():
-        return [(0, len(flags))]
-    start = int(np.argmin(flags))  # one that is not set, so that no run goes over the end
-    around = np.roll(flags, -start)
-    bounds = np.flatnonzero(np.diff(np.concatenate([around, [False]]).astype(np.int8))) + 1
-    return [((int(a) + start) % len(flags), int(b - a)) for a, b in bounds.reshape(-1, 2)]
