@@ -31,10 +31,13 @@ class Bands:
 
     def contains(self, polar: Angles, longitude: Angles) -> npt.NDArray[np.bool_]:
         """Tell which points (n,), given in rad, are inside, (n,)."""
+        return np.asarray(self._inside[self.piece_of(polar, longitude)])
+
+    def piece_of(self, polar: Angles, longitude: Angles) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Return the band (n,) and the piece of it (n,) in which points (n,), given in rad, lie."""
         bands, pieces = self._inside.shape
         band = np.clip(np.searchsorted(self._edges, polar, side="right") - 1, 0, bands - 1)
-        piece = np.rint(longitude * pieces / (2.0 * np.pi)).astype(np.int64) % pieces
-        return np.asarray(self._inside[band, piece])
+        return band, np.rint(longitude * pieces / (2.0 * np.pi)).astype(np.int64) % pieces
 
     def uniform(
         self, band: npt.NDArray[np.int64], piece: npt.NDArray[np.int64], rng: np.random.Generator
@@ -64,7 +67,7 @@ class Bands:
     def _to_parallels(self, polar: Angles, longitude: Angles) -> Angles:
         """Return the angles (n,) to the nearest arc of a parallel at the same longitude; infinite where none is."""
         edges = self._edges_by_piece
-        piece = np.rint(longitude * self._inside.shape[1] / (2.0 * np.pi)).astype(np.int64) % self._inside.shape[1]
+        piece = self.piece_of(polar, longitude)[1]
         place = np.searchsorted(edges, _PIECE * piece + polar)
         around = np.concatenate([[-np.inf], edges, [np.inf]])[place[:, None] + [0, 1]] - (_PIECE * piece)[:, None]
         is_there = (around >= 0.0) & (around < _PIECE)

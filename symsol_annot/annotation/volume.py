@@ -27,6 +27,7 @@ DIRECTIONS, TILTS = 12 * N_SIDE**2, 6 * N_SIDE
 CELLS = TILTS * DIRECTIONS
 BANDS_ERROR_RAD = 1e-7  # of `Volume.distance` where the volume is a region of directions
 CELLS_ERROR_RAD = float(np.radians(1.1))  # where it is not: `Volume.distance` is too large by no more
+_PIECE_RAD = float(np.radians(1.6))  # no direction is farther from the one of `viewing_directions` that stands for it
 
 
 class Volume:
@@ -141,6 +142,17 @@ class Volume:
             angles[outside] = self._union.distance(R_m2c[outside])
         return angles
 
+    def within(self, R_m2c: Rotations, angle_rad: float) -> npt.NDArray[np.bool_]:
+        """Tell which rotations (n, 3, 3) are at most an angle from the volume, (n,): as `distance` says, but faster."""
+        if self._bands is None:
+            return np.asarray(self.distance(R_m2c) <= angle_rad)
+        polar, tilt = _polar_and_tilt(R_m2c)
+        of_piece = self._distance_of_pieces[self._bands.piece_of(polar, tilt)]
+        found = of_piece <= angle_rad
+        unsure = np.flatnonzero(np.abs(of_piece - angle_rad) <= _PIECE_RAD)
+        found[unsure] = self.distance(R_m2c[unsure]) <= angle_rad
+        return found
+
     def sample(self, n: int, rng: np.random.Generator) -> Rotations:
         """Draw (n, 3, 3) rotations uniformly from the volume."""
         cells = self.cells[rng.integers(len(self.cells), size=n)]
@@ -162,6 +174,14 @@ class Volume:
             return None
         heights = 1.0 - 2.0 * np.concatenate([[0], np.cumsum(_ring_sizes())]) / DIRECTIONS
         return Bands(inside.T, np.arccos(heights))
+
+    @cached_property
+    def _distance_of_pieces(self) -> Angles:
+        """(127, 192) the angles in rad from the directions of `viewing_directions` to a region of directions."""
+        v = viewing_directions().reshape(-1, 3)
+        third_row_alone = np.zeros((len(v), 3, 3))
+        third_row_alone[:, 2] = -v
+        return self.distance(third_row_alone).reshape(TILTS, -1).T
 
     @cached_property
     def _union(self) -> "Cells":

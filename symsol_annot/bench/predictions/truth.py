@@ -14,7 +14,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.bench.predictions.counted import Counted, counted
 from symsol_annot.errors import DataError, first_of
+from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.rotations.nearest import Circles
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sealing.labels import labelled_split
@@ -127,10 +129,14 @@ class Truth:
         """The (G, 3, 3) symmetries of the object's body, identity first."""
         return self.labels.symmetry_group
 
-    @property
+    @cached_property
     def set_sizes(self) -> npt.NDArray[np.int64]:
-        """(N,) how many members each image's set has."""
-        return self.labels.set_sizes
+        """(N,) |S|: how many members each image's set has, each rotation of the standard grid in its volume for one."""
+        return self.counted_on(STANDARD_LEVEL).set_sizes
+
+    def counted_on(self, level: int) -> Counted:
+        """Return what the sets consist of where volumes are counted by the rotations of a grid in them."""
+        return counted(self.labels, level)
 
     @property
     def circles(self) -> Circles | None:
@@ -182,6 +188,7 @@ def part_of(truth: Truth, rows: npt.NDArray[np.int64]) -> Truth:
         marking_pixels=labels.marking_pixels[rows],
         marking_visible=labels.marking_visible[rows],
         part_pixels=None if labels.part_pixels is None else labels.part_pixels[rows],
+        volume=None if labels.volume is None else labels.volume[rows],
     )
     return replace(truth, labels=part)
 

@@ -1,5 +1,6 @@
 """What is known of a split's images, without the images."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,10 @@ from symsol_annot.annotation.symmetry_set import SymmetrySet, circles_of
 from symsol_annot.annotation.volume import Volume
 from symsol_annot.rotations.nearest import Circles
 from symsol_annot.rotations.so3 import Rotations, angle_between
+
+Indices = npt.NDArray[np.intp]
+
+_ROWS_AT_ONCE = 512  # whose candidates are looked for in a volume together
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +74,22 @@ class Labels:
         return circles_of(self.symmetry_group)
 
     def rejected_beyond(self, angle_rad: float) -> npt.NDArray[np.bool_]:
-        """Tell which candidates (N, G) are farther than an angle from every member of the image's set.
+        """Tell which candidates (N, G) are farther than an angle from every rotation of the image's set.
 
         They show the body as the image does and the marking elsewhere; those nearer are hardly told from a member.
         """
         group = self.symmetry_group
         near = np.stack([angle_between(g, group) <= angle_rad for g in group])
-        return ~(self.symmetry_mask.astype(np.float32) @ near.astype(np.float32) > 0)
+        rejected = ~(self.symmetry_mask.astype(np.float32) @ near.astype(np.float32) > 0)
+        for volume, row, g in self._of_volumes(rejected):
+            rejected[row, g] = ~volume.within(self.rotation[row] @ group[g], angle_rad)
+        return rejected
+
+    def _of_volumes(self, mask: npt.NDArray[np.bool_]) -> Iterator[tuple[Volume, Indices, Indices]]:
+        """Yield rows and candidates that a mask (N, G) chooses in images whose set has a volume, with that volume."""
+        for number, volume in enumerate(self.volumes):
+            rows = np.flatnonzero(self.volume == number)
+            for start in range(0, len(rows), _ROWS_AT_ONCE):
+                some = rows[start : start + _ROWS_AT_ONCE]
+                row, g = np.nonzero(mask[some])
+                yield volume, some[row], g
