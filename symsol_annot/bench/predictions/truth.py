@@ -18,9 +18,10 @@ from symsol_annot.errors import DataError, first_of
 from symsol_annot.rotations.nearest import Circles
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sealing.labels import labelled_split
-from symsol_annot.sets.dataset import Dataset, Labels, load
+from symsol_annot.sets.dataset import Dataset, load
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.sets.manifest import Manifest, read_manifest
+from symsol_annot.sets.shard.labels import Labels
 from symsol_annot.system.text.names import SPLITS
 
 HARD_NEGATIVE_RAD = float(np.radians(5.0)) + 1e-9  # the slack is for labels, which are float64

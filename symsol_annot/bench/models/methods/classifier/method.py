@@ -26,7 +26,8 @@ from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
 from symsol_annot.bench.predictions.writing.submission import write_classifier
 from symsol_annot.rotations.grid import equivolumetric_grid, grid_index, grid_size
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.sets.dataset import Dataset
+from symsol_annot.sets.shard.labels import Labels
 
 _EVALUATED_AT_ONCE = 64  # images
 _CLAIM_LOGIT = float(np.log(STANDARD_THRESHOLD / (1.0 - STANDARD_THRESHOLD)))
