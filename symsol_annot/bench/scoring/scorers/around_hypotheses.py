@@ -19,10 +19,10 @@ from symsol_annot.rotations.so3 import Angles, Rotations, rotations_about
 Weights = npt.NDArray[np.float64]
 
 FAR_LEVEL = 3  # of the grid of the far points; 36,864 rotations
-_POINTS_PER_RAD = 500.0  # of a shell's thickness, around each hypothesis
-_LEAST, _MANY = 16, 30  # points in a shell; with more hypotheses than that each has as many fewer, down to
+_POINTS_PER_RAD = 300.0  # of a shell's thickness, around each hypothesis
+_LEAST, _MANY = 10, 30  # points in a shell; with more hypotheses than that each has as many fewer, down to
 _FEWEST = 2
-_LEAST_FAR = 1000  # points
+_LEAST_FAR, _MOST_FAR = 1000, 5000  # points
 _PAIRS_AT_ONCE = 2**21
 
 
@@ -106,10 +106,12 @@ def _shells(shells_rad: tuple[float, ...], density: float) -> tuple[Rotations, A
 
 @lru_cache(maxsize=8)
 def _inside(volume: Volume) -> npt.NDArray[np.float32]:
-    """Return the rotations (9, k) of the coarse grid that are inside a volume; of a small one, some drawn in it."""
+    """Return rotations (9, k) of the coarse grid that are inside a volume; of a small one, some drawn in it."""
     inside = grid_inside(volume, FAR_LEVEL)
-    enough = len(inside) >= _LEAST_FAR
-    R = equivolumetric_grid(FAR_LEVEL)[inside] if enough else volume.sample(_LEAST_FAR, np.random.default_rng(0))
+    if len(inside) < _LEAST_FAR:
+        R = volume.sample(_LEAST_FAR, np.random.default_rng(0))
+    else:
+        R = equivolumetric_grid(FAR_LEVEL)[inside[:: -(-len(inside) // _MOST_FAR)]]
     return np.ascontiguousarray(R.reshape(-1, 9).T, dtype=np.float32)
 
 
