@@ -141,6 +141,12 @@ class Dataset(Closing, Sequence[Sample]):
         return self.manifest.settings.has_depth
 
     @property
+    def has_volumes(self) -> bool:
+        """Whether sets of the object can fill a volume, so that `Labels.volume` is there; whether any does is open."""
+        equality = getattr(self.manifest.settings, "equality", None)
+        return self.is_annotated and equality is not None and bool(equality.has_all_rotations)
+
+    @property
     def fingerprint(self) -> str:
         """The SHA-256 that names the split by its contents, whether or not it was rendered with the other split."""
         return str(self.manifest.split_fingerprint(self.split))

@@ -67,11 +67,13 @@ class BallRenderer(MeshRenderer):
         a, b, c = np.moveaxis(self._triangles @ R.T + [0, 0, camera.distance], 1, 0)
         normals = np.cross(b - a, c - a)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        speed = rays @ normals.T
+        is_near = np.linalg.norm(slopes, axis=1) < 1.01 / np.sqrt(camera.distance**2 - 1)  # the unit sphere's disc
+        speed = rays[is_near] @ normals.T
         with np.errstate(divide="ignore"):
             steps = (normals * a).sum(axis=1) / speed
         enter, leave = np.where(speed < 0, steps, -np.inf), np.where(speed > 0, steps, np.inf).min(axis=1)
-        hit = np.where(enter.max(axis=1) < leave, enter.argmax(axis=1), -1)
+        last, hit = enter.argmax(axis=1), np.full(len(rays), -1)
+        hit[is_near] = np.where(enter[np.arange(len(last)), last] < leave, last, -1)
         part = self.spec.mesh.part_ids.astype(int)
         light = 0.04 + 0.96 * np.maximum(0, -normals[:, 2])
         linear = np.clip(light[:, None] * self._colours[part - 1], 0, 1)
