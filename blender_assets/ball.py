@@ -1,8 +1,9 @@
 """The mesh of sphereX: a ball with an X and, beside one end of it, a disc, cut out of its surface.
 
-The X is where two slabs |y| <= X_HALF_WIDTH and |x| <= X_HALF_WIDTH, |x| and |y| <= X_REACH, meet the ball's upper half,
-so that turns about z by quarters map it onto itself. Its ends curve inwards more than any horizon does: where something
-of the X shows, a corner of one of its ends does. The disc is a regular polygon of FACETS corners about its own axis.
+The X is where two slabs |y| <= X_HALF_WIDTH and |x| <= X_HALF_WIDTH, |x| and |y| <= X_REACH, meet the ball's upper
+half, so that turns about z by quarters map it onto itself. Its ends curve inwards more than any horizon does: where
+something of the X shows, a corner of one of its ends does. The disc is a regular polygon of FACETS corners about its
+own axis.
 """
 
 import numpy as np
@@ -101,9 +102,8 @@ def _body_triangles(x_shape: Points, disc: Points) -> tuple[Points, Triangles]:
     vertices = np.concatenate([marks, body[distance > _CLEARANCE]])
     triangles = ConvexHull(vertices).simplices
     corners = vertices[triangles]
-    inwards = np.einsum(
-        "ti,ti->t", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, 0]
-    )
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inwards = (normals * corners[:, 0]).sum(axis=1)
     triangles[inwards < 0] = triangles[inwards < 0][:, ::-1]
     middles = vertices[triangles].mean(axis=1)
     middles /= np.linalg.norm(middles, axis=1, keepdims=True)

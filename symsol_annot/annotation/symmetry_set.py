@@ -145,10 +145,10 @@ class SymmetrySet(NDArrayOperatorsMixin):
 
     @property
     def along_arcs(self) -> Rotations:
-        """The (k, 3, 3) members circle by circle, each from where its longest gap ends; else in the group's order."""
+        """The (k, 3, 3) members circle by circle, each from where its longest gap ends; others in the group's order."""
         if self._circles is None:
             return self.members
-        found = []
+        found = [self._circles.isolated_index[self._mask[self._circles.isolated_index]]]
         for circle in self._circles.index:
             steps = np.flatnonzero(self._mask[circle])
             if len(steps):

@@ -17,8 +17,8 @@ from symsol_annot.objects.mesh import BODY_ID, Mesh
 from symsol_annot.objects.object_toml import ObjectToml
 from symsol_annot.objects.part_symmetries import lands_on, moments_of
 from symsol_annot.objects.parts import Part
-from symsol_annot.rotations.groups import cyclic_group
 from symsol_annot.objects.surface import SURFACE_TOLERANCE
+from symsol_annot.rotations.groups import cyclic_group
 from symsol_annot.rotations.so3 import Rotations, rotations_about
 
 Flags = npt.NDArray[np.bool_]
@@ -76,9 +76,8 @@ def _turns_of(toml: ObjectToml, mesh: Mesh, parts: tuple[Part, ...], part: int) 
     if distance < _OFF_MIDDLE:
         raise toml.fault(
             f"part.{part - BODY_ID}.name",
-            f"{parts[part - BODY_ID].name!r} lies evenly around the ball's middle, so that turns about several axes may "
-            "keep it in place; such a part is not read yet. Make pieces of it parts of their own, in colours of their "
-            "own",
+            f"{parts[part - BODY_ID].name!r} lies evenly around the ball's middle, so that turns about several axes "
+            "may keep it in place; such a part is not read yet. Make pieces of it parts, each in a colour of its own",
         )
     axis = np.round(centroid / distance, _DECIMALS)
     return cyclic_group(_order_about(axis, triangles), axis)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.rotations.groups import left_cosets
+from symsol_annot.errors import RotationError
+from symsol_annot.rotations.groups import nearest_element
 from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, rotations_about
 
 CONTINUOUS_CIRCLE_ORDER = 360  # a circle of steps of 1 degree or less stands for a continuous one
@@ -70,11 +71,15 @@ class Circles:
         axis: (3,) of the turns, in model coordinates.
         starts: (c, 3, 3), g of each circle.
         index: (c, n), the group's index of each element.
+        isolated: (m, 3, 3) what lies on none of them; nothing of a group, but of a list of candidates perhaps.
+        isolated_index: (m,) their indices in it.
     """
 
     axis: npt.NDArray[np.float64]
     starts: Rotations
     index: npt.NDArray[np.intp]
+    isolated: Rotations
+    isolated_index: npt.NDArray[np.intp]
 
     @property
     def step_rad(self) -> float:
@@ -83,7 +88,10 @@ class Circles:
 
 
 def find_circles(group: Rotations) -> Circles | None:
-    """Return the circles of a group (G, 3, 3) that discretises a continuous one; None for any other group."""
+    """Return the circles of a group (G, 3, 3) that discretises a continuous one; None for any other group.
+
+    It may be a list of candidates, which is no group: rotations of other axes beside circles about one.
+    """
     angles = angle_between(group, np.eye(3))
     angles[0] = np.inf  # the identity
     step = group[int(np.argmin(angles))]
@@ -92,8 +100,25 @@ def find_circles(group: Rotations) -> Circles | None:
         return None
     axis = np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
     axis /= np.linalg.norm(axis)
-    index = left_cosets(group, rotations_about(axis, 2.0 * np.pi * np.arange(order) / order))
-    return Circles(axis, group[index[:, 0]], index)
+    index = _full_circles(group, rotations_about(axis, 2.0 * np.pi * np.arange(order) / order))
+    if not len(index):
+        return None
+    isolated = np.setdiff1d(np.arange(len(group)), index)
+    return Circles(axis, group[index[:, 0]], index, group[isolated], isolated)
+
+
+def _full_circles(group: Rotations, circle: Rotations) -> npt.NDArray[np.intp]:
+    """Return the indices (c, n) of the g Rot, Rot of a circle (n, 3, 3), that are in a list (G, 3, 3) as a whole."""
+    unseen, found = np.ones(len(group), dtype=bool), []
+    for first in range(len(group)):
+        if unseen[first]:
+            try:
+                index = nearest_element(group, group[first] @ circle)
+            except RotationError:
+                continue  # it is isolated
+            unseen[index] = False
+            found.append(index)
+    return np.array(found, dtype=np.intp).reshape(len(found), len(circle))
 
 
 def angles_to_arcs(
@@ -141,6 +166,9 @@ def nearest_angles_on_circles(
                 element = neighbour[np.floor(turn[:, c]).astype(int) % len(row)]
                 members = starts[c] @ rotations_about(circles.axis, np.arange(len(row)) * circles.step_rad)
                 np.minimum(best, angle_between(R_other, members[element]), out=best)
+    is_member = mask[circles.isolated_index]
+    if is_member.any():
+        np.minimum(best, nearest_angles(R_other, R @ circles.isolated[is_member]), out=best)
     return best
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.annotation.symmetry_set import SymmetrySet
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.errors import DamageError, DataError, NotAnnotatedError
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.manifest import Manifest, read_manifest
@@ -54,6 +55,7 @@ class Sample:
             set, and in one of format version 1, which does not say.
         depth: (H, W) f4, how far along the camera's axis what is seen at each pixel's centre lies from the camera, in
             bounding-sphere radii, 0 at the background; None in a set without depth.
+        volume: the part of SO(3) that the set fills beside its members; None where it fills none.
     """
 
     index: int
@@ -66,6 +68,7 @@ class Sample:
     symmetry_group: Rotations
     part_pixels: npt.NDArray[np.float32] | None = None
     depth: npt.NDArray[np.float32] | None = None
+    volume: Volume | None = None
 
     def __repr__(self) -> str:
         return sample_in_words(self)
@@ -86,7 +89,7 @@ class Sample:
             is_sealed = not np.isfinite(self.rotation).all()
             why = without_sets(is_imported=self.segmentation is None, is_sealed=is_sealed)
             raise NotAnnotatedError(f"image {self.index} has no symmetry set: its split {why}")
-        return SymmetrySet(self.rotation, self.symmetry_group, self.symmetry_mask)
+        return SymmetrySet(self.rotation, self.symmetry_group, self.symmetry_mask, self.volume)
 
 
 class Dataset(Closing, Sequence[Sample]):
@@ -138,6 +141,12 @@ class Dataset(Closing, Sequence[Sample]):
         return self.manifest.settings.has_depth
 
     @property
+    def has_volumes(self) -> bool:
+        """Whether sets of the object can fill a volume, so that `Labels.volume` is there; whether any does is open."""
+        equality = getattr(self.manifest.settings, "equality", None)
+        return self.is_annotated and equality is not None and bool(equality.has_all_rotations)
+
+    @property
     def fingerprint(self) -> str:
         """The SHA-256 that names the split by its contents, whether or not it was rendered with the other split."""
         return str(self.manifest.split_fingerprint(self.split))
@@ -161,8 +170,9 @@ class Dataset(Closing, Sequence[Sample]):
         rows = list(self._rows)
         shards = [self._labels_of(number) for number in range(len(self._entries))]
         self._refuse_another_stabiliser(shards)
+        volumes = self._with_common_volumes(shards)
         columns = {name: np.concatenate([shard[name] for shard in shards])[rows] for name in shards[0]}
-        return Labels(symmetry_group=self.symmetry_group, **columns)
+        return Labels(symmetry_group=self.symmetry_group, volumes=volumes, **columns)
 
     @property
     def indices(self) -> npt.NDArray[np.int64]:
@@ -227,6 +237,17 @@ class Dataset(Closing, Sequence[Sample]):
                 path, first = self.folder / self._entries[number].file, self._entries[showing[0]].file
                 raise DataError(f"{path}: the set of its images that show the marking is not that of {first}")
 
+    def _with_common_volumes(self, shards: list[dict[str, npt.NDArray[Any]]]) -> tuple[Volume, ...]:
+        """Return the volumes of all shards, each once, and make the arrays `volume` of these point into them."""
+        common: list[Volume] = []
+        for number, shard in enumerate(shards):
+            own = self._opened(number)[0].volumes
+            common += [volume for volume in own if volume not in common]
+            if "volume" in shard:
+                places = np.array([*(common.index(volume) for volume in own), -1], np.int32)
+                shard["volume"] = places[shard["volume"]]
+        return tuple(common)
+
     def close(self) -> None:
         """Close the files; the next access opens them again."""
         self._open.clear()
@@ -261,6 +282,7 @@ class _Shard:
         self._tolerance_px = shard.tolerance_px
         self._image, self._segmentation, self._depth = shard.image, shard.segmentation, shard.depth
         self._mask, self._part_pixels = labels.symmetry_mask, labels.part_pixels
+        self._volume, self.volumes = labels.volume, labels.volumes
         sealed = np.full((len(shard), 3, 3), np.nan)
         self._rotation = sealed if labels.rotation is None else labels.rotation
         unknown = np.full(len(shard), np.nan, dtype=np.float32)
@@ -293,6 +315,7 @@ class _Shard:
                 symmetry_group=self.symmetry_group,
                 part_pixels=None if self._part_pixels is None else self._part_pixels[row].copy(),
                 depth=None if self._depth is None else self._depth.row(row, file),
+                volume=None if self._volume is None or self._volume[row] < 0 else self.volumes[self._volume[row]],
             )
         except DamageError as error:
             raise DataError(f"{self._path}: {error}. `symsol-annot verify` checks the whole set") from None
@@ -307,7 +330,8 @@ class _Shard:
             "marking_pixels": self._pixels,
             "marking_visible": self._pixels >= self._tolerance_px,
         }
-        return columns if self._part_pixels is None else {**columns, "part_pixels": self._part_pixels}
+        optional = {"part_pixels": self._part_pixels, "volume": self._volume}
+        return columns | {name: values for name, values in optional.items() if values is not None}
 
 
 def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = True) -> Dataset:

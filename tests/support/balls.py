@@ -1,7 +1,9 @@
-"""Balls of few triangles as text, for object.toml of format version 2: meridians and parallels, some faces painted."""
+"""Balls of few triangles, as text and drawn: meridians and parallels, some faces painted."""
 
 import math
 
+import numpy as np
+from mesh_renderer import MeshRenderer, N
 from parted_objects import ObjText, parted_toml
 
 MERIDIANS, PARALLELS = 24, 12
@@ -52,3 +54,28 @@ def ball_toml(*parts, group=SO3):
 
 
 MARKED = ball_toml(CAP, FLAG), ball({"red": CAP_FACES, "blue": flag_faces()})
+
+
+class BallRenderer(MeshRenderer):
+    """Draws a ball, whose mesh is convex: a ray enters it at the last of the planes that it meets from outside."""
+
+    def ids_and_rgb(self, R):
+        camera, width, height = self.camera, N * self.camera.width + 1, N * self.camera.height + 1
+        x, y = np.meshgrid(np.arange(width) / N, np.arange(height) / N)
+        slopes = np.stack([x - camera.width / 2, y - camera.height / 2], -1).reshape(-1, 2) / camera.focal_px
+        rays = np.column_stack([slopes, np.ones(len(slopes))])
+        a, b, c = np.moveaxis(self._triangles @ R.T + [0, 0, camera.distance], 1, 0)
+        normals = np.cross(b - a, c - a)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        is_near = np.linalg.norm(slopes, axis=1) < 1.01 / np.sqrt(camera.distance**2 - 1)  # the unit sphere's disc
+        speed = rays[is_near] @ normals.T
+        with np.errstate(divide="ignore"):
+            steps = (normals * a).sum(axis=1) / speed
+        enter, leave = np.where(speed < 0, steps, -np.inf), np.where(speed > 0, steps, np.inf).min(axis=1)
+        last, hit = enter.argmax(axis=1), np.full(len(rays), -1)
+        hit[is_near] = np.where(enter[np.arange(len(last)), last] < leave, last, -1)
+        part = self.spec.mesh.part_ids.astype(int)
+        light = 0.04 + 0.96 * np.maximum(0, -normals[:, 2])
+        linear = np.clip(light[:, None] * self._colours[part - 1], 0, 1)
+        rgb = np.concatenate([np.round(255 * linear ** (1 / 2.2)), [[255, 255, 255]]]).astype(np.uint8)
+        return np.append(part, 0)[hit].astype(np.uint8).reshape(height, width), rgb[hit].reshape(height, width, 3)
