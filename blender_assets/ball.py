@@ -16,9 +16,9 @@ X_HALF_WIDTH = float(np.sin(np.radians(4.0)))  # of its bars
 DISC_RADIUS_RAD = float(np.radians(6.0))
 DISC_POLAR_RAD, DISC_AZIMUTH_RAD = float(np.radians(32.0)), float(np.radians(26.0))  # of the disc's middle
 
-_BAR_STEPS, _ACROSS_STEPS, _DISC_RINGS = 10, 4, 2  # of an arm along and across it, and of the disc
-_BODY_POINTS = 4000
-_CLEARANCE = 0.037  # radii between points of the body and the outlines of X and disc
+_BAR_STEPS, _ACROSS_STEPS, _DISC_RINGS = 16, 4, 3  # of an arm along and across it, and of the disc
+_BODY_POINTS = 10_000
+_CLEARANCE = 0.023  # radii between points of the body and the outlines of X and disc
 _GOLDEN_TURN = np.pi * (1.0 + np.sqrt(5.0))
 
 Triangles = npt.NDArray[np.intp]

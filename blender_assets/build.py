@@ -87,8 +87,8 @@ PARTED: dict[str, tuple[str, Callable[[], MeshBuilder], dict[str, Colour | None]
         "ball with an X and, beside one end of it, a disc",
         marked_ball,
         {"body": None, "x": (0.02, 0.06, 0.60), "disc": (0.95, 0.16, 0.04)},
-        # How far inside of the unit sphere the facets lie at most, in radii: a fifth of a pixel of the usual image.
-        'kind = "so3"\nmax_offset = 0.002',
+        # How far inside of the unit sphere the facets lie at most, in radii: a sixteenth of a pixel of the usual image.
+        'kind = "so3"\nmax_offset = 0.0006',
     ),
 }
 

@@ -255,10 +255,19 @@ class _Drawer:
         if differing_px is None or tolerance_px is None:
             return _faults_of_member(stored, drawn)
         within_px = min(differing_px, tolerance_px)
-        faults = _faults_of_member(stored, drawn, within_px)
+        faults = _faults_of_member(stored, drawn, within_px, self.beside_silhouette)
         if differing_px >= tolerance_px + EDGE_AREA_PX:
             faults.append(f"differs in {differing_px:g} pixels of the parts that break the symmetry")
         return faults
+
+    @property
+    def beside_silhouette(self) -> int:
+        """How many pixels may differ since facets stand for a round body: those of the ring that they may leave off."""
+        rule = self.annotator.general_rule
+        if rule is None:
+            return 0
+        radius_px = rule.camera.focal_px / np.sqrt(rule.camera.distance**2 - 1.0)
+        return round(2.0 * np.pi * radius_px**2 * rule.spec.max_offset)
 
     def drawing(
         self,
@@ -273,7 +282,9 @@ class _Drawer:
         return _Drawing(rgb, segmentation, depth, trace, coset_px, shows)
 
 
-def _faults_of_member(stored: _Drawing, drawn: _Drawing, differing_px: float | None = None) -> list[str]:
+def _faults_of_member(
+    stored: _Drawing, drawn: _Drawing, differing_px: float | None = None, beside_silhouette: int = 0
+) -> list[str]:
     """Say in what a member of an image's set draws another image.
 
     Args:
@@ -281,6 +292,7 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing, differing_px: float | N
         drawn: the member's drawing.
         differing_px: by how much the general rule lets them differ, by which a part may show in one alone; None where
             another rule is the set's.
+        beside_silhouette: how many pixels more may differ, of a body that is round only within a tolerance.
     """
     faults = []
     if drawn.shows != stored.shows and differing_px is None:
@@ -291,7 +303,7 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing, differing_px: float | N
     if drawn.coset_px == 0 and drawn.trace.any():
         faults.append("hides the marking, yet its RGB carries a trace of the marking's colour")
     below_tolerance = sum(0 if drawing.shows else drawing.coset_px for drawing in (stored, drawn))
-    allowed = EDGE_PIXELS + round(_POINTS_PER_PIXEL * max(below_tolerance, differing_px or 0.0))
+    allowed = EDGE_PIXELS + beside_silhouette + round(_POINTS_PER_PIXEL * max(below_tolerance, differing_px or 0.0))
     rgb = np.abs(stored.rgb.astype(np.int16) - drawn.rgb.astype(np.int16)).max(axis=-1) > RGB_LEVELS
     differing = {
         "segmentation": int(np.count_nonzero(stored.segmentation != drawn.segmentation)),

@@ -1,6 +1,7 @@
 """Triangle meshes of objects."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +49,7 @@ class Mesh:
         return self.vertices[self.triangles[self.part_ids == part]]
 
 
+@lru_cache(maxsize=8)
 def is_convex(mesh: Mesh) -> bool:
     """Tell whether a closed mesh bounds a convex body: no vertex lies outside the plane of any face."""
     normals, offsets = face_planes(mesh)

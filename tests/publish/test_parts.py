@@ -1,14 +1,19 @@
 """A set of an object with parts, published: the parts by name, and the rule by which they are compared."""
 
 import json
+import zlib
 from functools import partial
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from balls import CAP, CAP_FACES, BallRenderer, ball, ball_toml
 from made_sets import make_set, threads
 from mesh_renderer import MeshRenderer
 
+from symsol_annot import load
 from symsol_annot.generation.generate import generate
-from symsol_annot.objects.spec import load_object
+from symsol_annot.objects.spec import load_object, read_object
 from symsol_annot.publish.about import About
 from symsol_annot.publish.publication import publish
 from symsol_annot.publish.sets import sets_in
@@ -44,3 +49,24 @@ def test_croissant_describes_each_sets_ids_by_its_own_parts(parted):
     assert described["tetX_test/segmentation"] == "Grey PNG of ids: 0 background, 1 body, 2 marking."
     assert "that break the symmetry" in described["box_test/marking_pixels"]
     assert "The marking's visible area" in described["tetX_test/marking_pixels"]
+
+
+def test_a_balls_mirror_tells_which_volume_each_image_has_and_holds_it_once(tmp_path):
+    (tmp_path / "object.toml").write_text(ball_toml(CAP))
+    (tmp_path / "mesh.obj").write_text(ball({"red": CAP_FACES}))
+    plan = SetPlan(read_object(tmp_path), {"test": 6}, 0, Camera.filling(16), RenderSettings(), "test")
+    generate(plan, tmp_path / "data" / "thing", threads(partial(BallRenderer, plan.spec, plan.camera)))
+    make_set(tmp_path / "data", "tetX", test=3, size=16)
+    publish(sets_in(tmp_path / "data"), tmp_path / "bundle", About())
+    (shard,) = (tmp_path / "bundle" / "parquet" / "thing").glob("test-*.parquet")
+    labels = load(tmp_path / "data" / "thing", "test").labels()
+    assert pq.read_table(shard)["volume"].to_pylist() == labels.volume.tolist()
+    of_sets = pq.read_table(tmp_path / "bundle" / "parquet" / "symmetry_groups.parquet").to_pylist()
+    (bits,), none = ({row["set"]: row["volumes"] for row in of_sets}[name] for name in ("thing", "tetX"))
+    assert none == []
+    np.testing.assert_array_equal(np.unpackbits(np.frombuffer(zlib.decompress(bits), np.uint8)), labels.volumes[0].mask)
+    records = json.loads((tmp_path / "bundle" / "croissant.json").read_text())["recordSet"]
+    fields = {field["name"] for record in records for field in record["field"]}
+    assert {"thing_test/volume", "symmetry_groups/volumes"} <= fields
+    assert "tetX_test/volume" not in fields
+    assert "of all rotations in" in (tmp_path / "bundle" / "README.md").read_text()
