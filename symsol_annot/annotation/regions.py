@@ -18,6 +18,9 @@ class Bands:
     """A region of the sphere in polar angle and longitude: of some bands, some of as many equal pieces.
 
     Piece number t of T lies around the longitude 2 pi t / T.
+
+    Attributes:
+        inside: (B, T) bool, which pieces of each band are in it.
     """
 
     def __init__(self, inside: npt.NDArray[np.bool_], edges: Reals) -> None:
@@ -27,15 +30,15 @@ class Bands:
             inside: (B, T) which pieces of each band are in it.
             edges: (B + 1,) ascending polar angles in rad, 0 to pi, between which the bands lie.
         """
-        self._inside, self._edges = inside, edges
+        self.inside, self._edges = inside, edges
 
     def contains(self, polar: Angles, longitude: Angles) -> npt.NDArray[np.bool_]:
         """Tell which points (n,), given in rad, are inside, (n,)."""
-        return np.asarray(self._inside[self.piece_of(polar, longitude)])
+        return np.asarray(self.inside[self.piece_of(polar, longitude)])
 
     def piece_of(self, polar: Angles, longitude: Angles) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Return the band (n,) and the piece of it (n,) in which points (n,), given in rad, lie."""
-        bands, pieces = self._inside.shape
+        bands, pieces = self.inside.shape
         band = np.clip(np.searchsorted(self._edges, polar, side="right") - 1, 0, bands - 1)
         return band, np.rint(longitude * pieces / (2.0 * np.pi)).astype(np.int64) % pieces
 
@@ -45,7 +48,7 @@ class Bands:
         """Draw a point uniformly from each of the pieces (n,): polar angles and longitudes (n,) in rad."""
         top, bottom = np.cos(self._edges[band]), np.cos(self._edges[band + 1])
         polar = np.arccos(top + (bottom - top) * rng.random(len(band)))
-        return polar, 2.0 * np.pi * (piece + rng.random(len(piece)) - 0.5) / self._inside.shape[1]
+        return polar, 2.0 * np.pi * (piece + rng.random(len(piece)) - 0.5) / self.inside.shape[1]
 
     def distance(self, polar: Angles, longitude: Angles) -> Angles:
         """Return the angles (n,) in rad from points (n,) outside the region to its edge, to 1e-7.
@@ -87,7 +90,7 @@ class Bands:
     @cached_property
     def _edges_by_piece(self) -> Reals:
         """(e,) ascending: `_PIECE` times a piece's number, and the polar angle of an edge across that piece."""
-        band, piece = np.nonzero(self._inside[:-1] != self._inside[1:])
+        band, piece = np.nonzero(self.inside[:-1] != self.inside[1:])
         return np.sort(_PIECE * piece + self._edges[band + 1])
 
     @cached_property
@@ -97,7 +100,7 @@ class Bands:
 
         at, first, last = self._meridians.T
         polar, longitude = np.concatenate([first, last]), np.concatenate([at, at])
-        poles = [[0.0, 0.0, 1.0 - 2.0 * (band < 0)] for band in (0, -1) if self._inside[band].any()]
+        poles = [[0.0, 0.0, 1.0 - 2.0 * (band < 0)] for band in (0, -1) if self.inside[band].any()]
         ends = np.stack([np.sin(polar) * np.cos(longitude), np.sin(polar) * np.sin(longitude), np.cos(polar)], axis=-1)
         found = np.concatenate([ends, np.reshape(poles, (-1, 3))])
         return cKDTree(found) if len(found) else None
@@ -105,10 +108,10 @@ class Bands:
     @cached_property
     def _meridians(self) -> Reals:
         """(a, 3) longitude, first and last polar angle of each arc of the edge along a meridian."""
-        pieces = self._inside.shape[1]
+        pieces = self.inside.shape[1]
         found = []
         for piece in range(pieces):
-            differs = self._inside[:, piece - 1] != self._inside[:, piece]
+            differs = self.inside[:, piece - 1] != self.inside[:, piece]
             bounds = np.flatnonzero(np.diff(np.concatenate([[False], differs, [False]]).astype(np.int8)))
             longitude = 2.0 * np.pi * (piece - 0.5) / pieces
             found += [(longitude, self._edges[a], self._edges[b]) for a, b in bounds.reshape(-1, 2)]

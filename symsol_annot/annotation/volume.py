@@ -105,6 +105,17 @@ class Volume:
         return hashlib.sha256(np.packbits(self.mask).tobytes()).hexdigest()
 
     @property
+    def rings(self) -> npt.NDArray[np.bool_]:
+        """(127, 192) of a region of directions, which tilts of each ring are inside.
+
+        Raises:
+            RotationError: it is no region of directions.
+        """
+        if self._bands is None:
+            raise RotationError("volume: it is no region of directions, so that its rings are not inside as a whole")
+        return self._bands.inside
+
+    @property
     def is_of_directions(self) -> bool:
         """Whether it is a region of directions, times all turns about the line of sight."""
         return self._bands is not None
@@ -172,8 +183,7 @@ class Volume:
         inside = np.logical_or.reduceat(by_tilt, starts, axis=1)
         if not np.array_equal(inside, np.logical_and.reduceat(by_tilt, starts, axis=1)):
             return None
-        heights = 1.0 - 2.0 * np.concatenate([[0], np.cumsum(_ring_sizes())]) / DIRECTIONS
-        return Bands(inside.T, np.arccos(heights))
+        return Bands(inside.T, ring_edges())
 
     @cached_property
     def _distance_of_pieces(self) -> Angles:
@@ -205,6 +215,11 @@ def viewing_directions() -> npt.NDArray[np.float64]:
     tilt_rad = (2.0 * np.pi * np.arange(TILTS) / TILTS)[:, None]
     across = np.sqrt(1.0 - height**2)
     return np.stack([across * np.cos(tilt_rad), -across * np.sin(tilt_rad), -height + 0.0 * tilt_rad], axis=-1)
+
+
+def ring_edges() -> Angles:
+    """Return the (128,) ascending polar angles in rad between the bands that rings of level 5 stand for, 0 to pi."""
+    return np.arccos(1.0 - 2.0 * np.concatenate([[0], np.cumsum(_ring_sizes())]) / DIRECTIONS)
 
 
 def _ring_sizes() -> npt.NDArray[np.int64]:

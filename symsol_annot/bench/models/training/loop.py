@@ -174,6 +174,7 @@ class TrainingLoop:
             reader=reader,
             with_rejected=recipe.needs_rejected_candidates,
             with_members=recipe.needs_members,
+            with_volumes=recipe.needs_volumes,
         )
         self._validation_images = _validation_images(dataset[learnt:], reader) if recipe.validation_images else None
 
