@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from symsol_annot_assets import parted
+from symsol_annot_assets.ball import marked_ball
 from symsol_annot_assets.meshes import FACETS, MeshBuilder
 from symsol_annot_assets.published import (
     MARKED_FACE,
@@ -81,6 +82,13 @@ PARTED: dict[str, tuple[str, Callable[[], MeshBuilder], dict[str, Colour | None]
             "right": (0.05, 0.20, 0.85),
         },
         'kind = "dihedral"\norder = 4',
+    ),
+    "sphereX": (
+        "ball with an X and, beside one end of it, a disc",
+        marked_ball,
+        {"body": None, "x": (0.02, 0.06, 0.60), "disc": (0.95, 0.16, 0.04)},
+        # How far inside of the unit sphere the facets lie at most, in radii: a sixteenth of a pixel of the usual image.
+        'kind = "so3"\nmax_offset = 0.0006',
     ),
 }
 

@@ -16,14 +16,14 @@ class MeshBuilder:
     """Gathers faces; equal vertices and equal normals are written once."""
 
     def __init__(self) -> None:
-        self._vertices: dict[str, int] = {}
-        self._normals: dict[str, int] = {}
+        self._vertices = _Numbered()
+        self._normals = _Numbered()
         self._faces: dict[str, list[str]] = {"body": [], "marking": []}  # the materials in the order of the file
 
     def add(self, corners: Iterable[Points], normals: Iterable[Points], material: str = "body") -> None:
         """Add a face: its corners counter-clockwise seen from outside, and a normal a corner."""
         words = [
-            f"{_number(self._vertices, corner)}//{_number(self._normals, normal)}"
+            f"{self._vertices.number(corner)}//{self._normals.number(normal)}"
             for corner, normal in zip(corners, normals, strict=True)
         ]
         self._faces.setdefault(material, []).append("f " + " ".join(words))
@@ -36,17 +36,27 @@ class MeshBuilder:
     def text(self, title: str) -> str:
         """Return the text of the OBJ file."""
         lines = [f"# {title}; built by symsol_annot_assets.build"]
-        lines += [f"v {coordinates}" for coordinates in self._vertices]
-        lines += [f"vn {coordinates}" for coordinates in self._normals]
+        lines += [f"v {coordinates}" for coordinates in self._vertices.texts]
+        lines += [f"vn {coordinates}" for coordinates in self._normals.texts]
         for material, faces in self._faces.items():
             lines += [f"usemtl {material}", *faces] if faces else []
         return "\n".join(lines) + "\n"
 
 
-def _number(table: dict[str, int], point: Points) -> int:
-    """Return a point's number in the table, from 1, after adding it where it is new."""
-    coordinates = " ".join(f"{x:.9f}" for x in np.round(point, 9) + 0.0)  # + 0.0: no "-0.000000000"
-    return table.setdefault(coordinates, len(table) + 1)
+class _Numbered:
+    """Points as texts, each numbered once, from 1."""
+
+    def __init__(self) -> None:
+        self.texts: dict[str, int] = {}
+        self._by_bytes: dict[bytes, int] = {}  # of points that came before: most corners come six times
+
+    def number(self, point: Points) -> int:
+        """Return a point's number, after adding it where it is new."""
+        data = np.asarray(point, dtype=np.float64).tobytes()
+        if data not in self._by_bytes:
+            coordinates = " ".join(f"{x:.9f}" for x in np.round(point, 9) + 0.0)  # + 0.0: no "-0.000000000"
+            self._by_bytes[data] = self.texts.setdefault(coordinates, len(self.texts) + 1)
+        return self._by_bytes[data]
 
 
 def radial(step: float) -> Points:

@@ -74,6 +74,7 @@ def _drawing(settings: RenderedSettings) -> dict[str, Any]:
 def _split_document(folder: Path, manifest: Manifest, split: str) -> dict[str, Any]:
     statistics, shards = split_statistics(folder, manifest, split), manifest.of_split(split)
     sizes = {str(size): count for size, count in sorted(statistics.set_sizes.items())}
+    measures = [{"share": share, "images": images} for share, images in sorted(statistics.measures.items())]
     return {
         "images": manifest.images(split),
         "shards": len(shards),
@@ -84,6 +85,7 @@ def _split_document(folder: Path, manifest: Manifest, split: str) -> dict[str, A
         "parts_shown": dict(statistics.parts_shown) or None,
         "set_sizes_by_parts": _sizes_by_parts(statistics) if statistics.is_annotated else None,
         "set_sizes": sizes if statistics.is_annotated else None,
+        **({"images_with_volume": measures} if measures else {}),
     }
 
 
@@ -136,7 +138,7 @@ def _print_statistics(statistics: SplitStatistics, *, is_sealed: bool) -> None:
         why = ": they are sealed" if is_sealed else ": none are known" if statistics.is_imported else ""
         say(f"  without symmetry sets{why}")
         return
-    say(f"  |S|: {sizes_in_words(statistics.set_sizes)}")
+    say(f"  |S|: {sizes_in_words(statistics.set_sizes, statistics.measures)}")
     by_parts = sorted(statistics.sizes_by_telling_parts.items()) if statistics.telling else []
     for names, sizes in by_parts[:_MOST_LINES]:
         say(f"    with {', '.join(names) or 'none of these parts'} in view: {sizes_in_words(sizes)}")

@@ -73,6 +73,16 @@ def _verify_set(folder: Path) -> list[str]:
     return faults
 
 
+def _volumes_in_words(report: AuditReport) -> str:
+    """Say what was drawn of volumes; nothing of a set without."""
+    if not report.inside + report.beyond + report.at_edge:
+        return ""
+    return (
+        f"\n  random rotations inside volumes: {report.inside}, outside of them: {report.beyond}; within a few degrees "
+        f"of their edge: {report.at_edge}, of which the pixel grid decides {report.at_edge_otherwise} otherwise"
+    )
+
+
 def _repair_set(folder: Path, given: ObjectSpec | None) -> None:
     manifest = read_manifest(folder)
     refuse_to_add(folder, manifest)
@@ -116,4 +126,5 @@ def _print_report(folder: Path, report: AuditReport) -> None:
         f"  rotations outside of the declared group: {report.outside} of groups found from the mesh, and "
         f"{report.near_members} random ones near members, {report.near_members_alike} of which draw the same pixels\n"
         f"  candidates that show the marking by less than the tolerance: {report.within_tolerance}"
+        + _volumes_in_words(report)
     )

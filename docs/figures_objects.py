@@ -19,6 +19,7 @@ from symsol_annot.sets.plan import label_rotation
 from symsol_annot.sets.stated.equality import PartsOfSet
 
 IMAGES = {
+    "sphereX": (6, 31, 1736, 0),  # X and disc in view, the X alone, the disc alone, neither
     "mug": (0, 1, 4, 5),  # the handle in view, out of sight, by a sliver, from above
     "nut": (0, 2, 3, 5),
     "screw": (3, 0, 2, 1),  # the socket in view, out of sight, by a sliver, out of sight
@@ -50,6 +51,7 @@ def sample_of(annotator, R_gt, index):
     """Draw and annotate one image."""
     view = annotator.renderer.render(R_gt)
     shown_px = annotator.shown_px(R_gt, view)
+    annotation = annotator.annotate(R_gt, shown_px, view)
     return Sample(
         index,
         view.rgb,
@@ -57,9 +59,10 @@ def sample_of(annotator, R_gt, index):
         R_gt,
         shown_px,
         bool(annotator.is_shown(shown_px)),
-        annotator.annotate(R_gt, shown_px).mask,
+        annotation.mask,
         annotator.spec.symmetry_group,
         view.part_pixels.astype(np.float32),
+        volume=annotation.volume,
     )
 
 

@@ -8,7 +8,7 @@ at one of its rotations:
     R_gt H hides it:    S = { R_gt g : g in C, R_gt g H hides it }
 
 A body without marking shows none anywhere, so S = { R_gt g : g in C }. Objects of format version 2, with parts of any
-kind, have the rule of `general_rule`.
+kind, have the rule of `general_rule`, and balls with parts that of `ball_rule`, whose sets can have volume.
 """
 
 from dataclasses import dataclass
@@ -16,8 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.balls.ball_rule import BallRule
 from symsol_annot.annotation.deciding import Visibility, visibility_of
 from symsol_annot.annotation.general_rule import GeneralRule
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.renderer import Renderer, View
@@ -34,10 +36,12 @@ class Annotation:
         candidate_px: (G,) f8, the largest p in pixels over the coset R_gt g H; NaN where the rule did not need it.
             Where geometry decided, an area on the same side of the tolerance, and 0 where p is 0. By the general rule,
             the area in which the candidate differs from the image.
+        volume: the part of SO(3) that the set fills besides; None for a set of measure zero.
     """
 
     mask: npt.NDArray[np.bool_]
     candidate_px: npt.NDArray[np.float64]
+    volume: Volume | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +53,14 @@ class Annotator:
         renderer: draws candidates.
         visibility: decides most of them without drawing; the sets are the same without it.
         general_rule: compares images; None for an object of format version 1.
+        ball_rule: finds the sets of a ball with parts; None for any other object.
     """
 
     spec: ObjectSpec
     renderer: Renderer
     visibility: Visibility | None = None
     general_rule: GeneralRule | None = None
+    ball_rule: BallRule | None = None
 
     @classmethod
     def for_object(
@@ -75,6 +81,10 @@ class Annotator:
             renderer: draws candidates.
             exhaustive: draw every candidate, also where geometry decides; the sets are the same.
         """
+        if spec.has_all_rotations:
+            general = GeneralRule(spec, renderer, camera, settings, exhaustive=exhaustive)
+            ball = BallRule(spec, renderer, camera, settings, exhaustive)
+            return cls(spec, renderer, None, general, ball)
         visibility = None if exhaustive else visibility_of(spec, camera, settings)
         if not spec.has_general_rule:
             return cls(spec, renderer, visibility)
@@ -116,13 +126,16 @@ class Annotator:
             return view_px
         return float(self.renderer.marking_pixels(others).max())
 
-    def annotate(self, R_gt: Rotations, coset_px: float) -> Annotation:
+    def annotate(self, R_gt: Rotations, coset_px: float, view: View | None = None) -> Annotation:
         """Return the symmetry set of the image at R_gt.
 
         Args:
             R_gt: (3, 3) the image's rotation.
             coset_px: by which its coset shows the marking, in pixels, from `shown_px`.
+            view: the image; it spares drawing it again where a rule asks which parts it shows.
         """
+        if self.ball_rule is not None:
+            return self._annotate_ball(self.ball_rule, R_gt, coset_px, view)
         cosets, order = self.spec.cosets, len(self.spec.symmetry_group)
         if self.spec.marking is None:
             return Annotation(np.ones(order, dtype=bool), np.zeros(order))
@@ -139,6 +152,17 @@ class Annotator:
         candidates = R_gt @ self.spec.symmetry_group[others.reshape(-1)]
         candidate_px[others] = self._areas_px(candidates).reshape(others.shape).max(axis=1, keepdims=True)
         return Annotation(~self.is_shown(candidate_px), candidate_px)
+
+    def _annotate_ball(self, rule: BallRule, R_gt: Rotations, coset_px: float, view: View | None) -> Annotation:
+        """Return the symmetry set of the image of a ball."""
+        if not self.is_shown(coset_px):
+            differing_px = np.full(len(self.spec.symmetry_group), np.nan)
+            differing_px[self.spec.cosets[0]] = 0.0
+            return Annotation(differing_px == 0.0, differing_px, rule.volume)
+        breaking = np.array(self.spec.mesh.breaking) - 1
+        own_px = rule.part_pixels(R_gt[None])[0] if view is None else view.part_pixels[breaking]
+        differing_px = rule.differing_px(R_gt, own_px)
+        return Annotation(differing_px < (self.spec.tolerance_px or 0.0), differing_px)
 
     def _areas_px(self, R_m2c: Rotations) -> npt.NDArray[np.float64]:
         """Return areas (n,) in pixels, from geometry where that decides, and drawn elsewhere."""

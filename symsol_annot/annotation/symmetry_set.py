@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.errors import RotationError, SettingsError
 from symsol_annot.rotations.nearest import (
     Circles,
@@ -19,7 +20,6 @@ from symsol_annot.rotations.nearest import (
 from symsol_annot.rotations.so3 import Angles, Rotations, turned
 
 CONTAINS_RAD = 1e-6  # what rounding a rotation to float32 and multiplying it there can turn it by
-VOLUME_LEVEL = 5  # of the equivolumetric grid whose cells a volume consists of
 _MANY_MEMBERS = 24  # from where the circles are faster than all pairs
 
 
@@ -31,8 +31,7 @@ class SymmetrySet(NDArrayOperatorsMixin):
 
     Attributes:
         R_gt: (3, 3) f8, the rotation that the image was drawn at.
-        volume: (c,) ascending indices of the cells of the equivolumetric grid of level `VOLUME_LEVEL` that belong to
-            the set as a whole; None for a set of isolated rotations and circles, which every set is up to now.
+        volume: the part of SO(3) that the set fills; None for a set of isolated rotations and circles.
     """
 
     def __init__(
@@ -40,7 +39,7 @@ class SymmetrySet(NDArrayOperatorsMixin):
         R_gt: Rotations,
         group: Rotations,
         mask: npt.NDArray[np.bool_],
-        volume: npt.NDArray[np.int64] | None = None,
+        volume: Volume | None = None,
     ) -> None:
         """Make the set R_gt g, over those g that a mask chooses.
 
@@ -48,7 +47,7 @@ class SymmetrySet(NDArrayOperatorsMixin):
             R_gt: (3, 3) the image's rotation.
             group: (G, 3, 3) the symmetries g of the body, identity first.
             mask: (G,) which of them are in the set; the first is.
-            volume: (c,) indices of grid cells, or None.
+            volume: what belongs to the set besides, whatever R_gt is, or None.
 
         Raises:
             RotationError: shapes do not fit, or the set lacks R_gt.
@@ -91,11 +90,7 @@ class SymmetrySet(NDArrayOperatorsMixin):
     @property
     def measure(self) -> float:
         """The number of members; with a volume, beside which they weigh nothing, its share of all rotations."""
-        if self.volume is None:
-            return float(len(self.turns))
-        from symsol_annot.rotations.grid import grid_size  # noqa: PLC0415 - its grid takes scipy, which is slow to load
-
-        return len(self.volume) / grid_size(VOLUME_LEVEL)
+        return float(len(self.turns)) if self.volume is None else self.volume.measure
 
     def contains(self, R_m2c: Rotations, tolerance_rad: float = CONTAINS_RAD) -> npt.NDArray[np.bool_]:
         """Tell which rotations are in the set, up to a tolerance.
@@ -110,32 +105,28 @@ class SymmetrySet(NDArrayOperatorsMixin):
         return np.asarray(self.distance(R_m2c) <= tolerance_rad)
 
     def distance(self, R_m2c: Rotations) -> Angles:
-        """Return the angles (n,) in rad from rotations (n, 3, 3) to the nearest member; 0 inside a volume.
+        """Return the angles (n,) in rad from rotations (n, 3, 3) to the nearest member or, if nearer, to the volume.
 
-        With a volume, a rotation outside it may be nearer to the volume's edge than to any member.
+        They are 0 inside the volume, and outside of it as exact as `Volume.distance`.
         """
         circles = self._circles if len(self.turns) > _MANY_MEMBERS else None
         if circles is None:
             angles = nearest_angles(R_m2c, self.members)
         else:
             angles = nearest_angles_on_circles(circles, self.R_gt, self._mask, R_m2c)
-        if self.volume is None:
-            return angles
-        from symsol_annot.rotations.grid import cell_of  # noqa: PLC0415 - as in `measure`
-
-        return np.where(np.isin(cell_of(R_m2c, VOLUME_LEVEL), self.volume), 0.0, angles)
+        return angles if self.volume is None else np.minimum(angles, self.volume.distance(R_m2c))
 
     def distance_to_arcs(self, R_m2c: Rotations, to_members: Angles | None = None) -> Angles:
         """Return the angles (n,) in rad from rotations (n, 3, 3) to the continuous set that the members stand for.
 
-        Neighbouring members on a circle are joined by an arc; a set without circles is its members.
+        Neighbouring members on a circle are joined by an arc; a set without circles is its members and its volume.
 
         Args:
             R_m2c: (n, 3, 3).
-            to_members: (n,) the angles in rad to the nearest members, where they are known already.
+            to_members: (n,) what `distance` returns, where it is known already.
         """
         if to_members is None:
-            to_members = nearest_angles(R_m2c, self.members)
+            to_members = self.distance(R_m2c)
         if self._circles is None:
             return to_members
         return angles_to_arcs(self._circles, self.R_gt, self._mask, R_m2c, to_members)
@@ -150,16 +141,14 @@ class SymmetrySet(NDArrayOperatorsMixin):
             raise SettingsError(f"sample: expected 0 or more rotations, found {n}")
         if self.volume is None:
             return self.members[rng.integers(len(self.members), size=n)]
-        from symsol_annot.rotations.grid import uniform_in_cells  # noqa: PLC0415 - as in `measure`
-
-        return uniform_in_cells(self.volume[rng.integers(len(self.volume), size=n)], VOLUME_LEVEL, rng)
+        return self.volume.sample(n, rng)
 
     @property
     def along_arcs(self) -> Rotations:
-        """The (k, 3, 3) members circle by circle, each from where its longest gap ends; else in the group's order."""
+        """The (k, 3, 3) members circle by circle, each from where its longest gap ends; others in the group's order."""
         if self._circles is None:
             return self.members
-        found = []
+        found = [self._circles.isolated_index[self._mask[self._circles.isolated_index]]]
         for circle in self._circles.index:
             steps = np.flatnonzero(self._mask[circle])
             if len(steps):
@@ -210,7 +199,7 @@ class SymmetrySet(NDArrayOperatorsMixin):
         return iter(self._as_array())
 
     def __repr__(self) -> str:
-        kind = f"{len(self.turns)} rotations" if self.volume is None else f"{len(self.volume)} cells of rotations"
+        kind = f"{len(self.turns)} rotations" if self.volume is None else f"{self.measure:.2%} of all rotations"
         return f"<SymmetrySet: {kind}>"
 
     def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> npt.NDArray[Any]:  # noqa: FBT001

@@ -3,7 +3,8 @@
 Of each audited image some candidates R_gt g are drawn, half of them where the set ends: members next to candidates
 that were rejected, and the other way round. Of an object of format version 2, candidates are compared with the image as
 they were when the set was made: at all points of the lattice. Drawn as well are rotations that the object does not
-declare: those of the group that is found from its mesh, and random ones near members.
+declare: those of the group that is found from its mesh, and random ones near members. Of a set that fills a volume,
+random rotations are drawn that are inside, outside and at the edge.
 """
 
 from collections.abc import Callable
@@ -14,9 +15,11 @@ import numpy.typing as npt
 
 from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.annotation.symmetry_set import SymmetrySet
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.errors import DataError, NotAnnotatedError
 from symsol_annot.generation.marking_trace import MarkingTrace
 from symsol_annot.generation.outside import near_members
+from symsol_annot.generation.volume_audit import VolumeAudit
 from symsol_annot.rendering.control import ControlledRenderer
 from symsol_annot.rendering.renderer import MARKING, Renderer
 from symsol_annot.rotations.so3 import Rotations, angle_between
@@ -47,6 +50,10 @@ class AuditReport:
         near_members: how many random rotations near members were drawn.
         near_members_alike: those of them that draw the same pixels: the pixel grid is too coarse for them.
         within_tolerance: candidates whose marking shows, but by less than the tolerance.
+        inside: how many random rotations were drawn that are inside a volume, beyond a band at its edge.
+        beyond: how many that are outside, beyond the band.
+        at_edge: how many that are in the band.
+        at_edge_otherwise: those of them that show something inside, or nothing outside: the pixel grid decides there.
         faults: what contradicts the set, one line each.
     """
 
@@ -58,6 +65,10 @@ class AuditReport:
     near_members: int = 0
     near_members_alike: int = 0
     within_tolerance: int = 0
+    inside: int = 0
+    beyond: int = 0
+    at_edge: int = 0
+    at_edge_otherwise: int = 0
     faults: list[str] = field(default_factory=list)
 
 
@@ -96,7 +107,10 @@ def audit(
     for row in np.sort(rng.choice(len(dataset), size=min(count, len(dataset)), replace=False)):
         sample = dataset[int(row)]
         _audit_image(sample, drawer, rng, report)
-        _audit_outside(sample, drawer, np.zeros((0, 3, 3)) if outside is None else outside, rng, report)
+        if sample.volume is not None:
+            _audit_volume(sample, sample.volume, drawer, rng, report)
+        else:
+            _audit_outside(sample, drawer, np.zeros((0, 3, 3)) if outside is None else outside, rng, report)
         report.images += 1
         on_image()
     controlled.check()
@@ -112,7 +126,8 @@ def _audit_image(sample: Sample, drawer: "_Drawer", rng: np.random.Generator, re
     report.faults += [f"image {sample.index}, drawn again at its own rotation: {what}" for what in found]
     symmetry_set = sample.symmetry_set
     candidates = symmetry_set.candidates
-    for index in _chosen(symmetry_set, rng):
+    chosen = _chosen(symmetry_set, rng) if sample.volume is None else np.flatnonzero(symmetry_set.is_member)
+    for index in chosen:
         drawn = drawer.draw(candidates[index])
         differing_px = drawer.differing_px(sample.rotation, candidates[index])
         report.within_tolerance += int(drawn.coset_px > 0 and not drawn.shows)
@@ -128,6 +143,22 @@ def _audit_image(sample: Sample, drawer: "_Drawer", rng: np.random.Generator, re
             report.near_neighbours += int(is_near)
             found = [f"candidate {index} was rejected, but draws the same marking"] if is_same and not is_near else []
         report.faults += [f"image {sample.index}, {what}" for what in found]
+
+
+def _audit_volume(
+    sample: Sample, volume: Volume, drawer: "_Drawer", rng: np.random.Generator, report: AuditReport
+) -> None:
+    """Draw rotations inside, outside and at the edge of an image's volume, and report those that belong elsewhere."""
+    audited = drawer.audit_of(volume, sample.image.shape[1])
+    found = audited.drawn(drawer.annotator.renderer, rng)
+    report.inside += found.inside
+    report.beyond += found.outside
+    report.at_edge += found.edge
+    report.at_edge_otherwise += found.edge_otherwise
+    report.faults += [f"image {sample.index}: {fault}" for fault in found.faults]
+    off_rad = float(audited.to_edge(sample.rotation[None])[0])
+    if off_rad > audited.band_rad:
+        report.faults.append(f"image {sample.index}: its rotation is {np.degrees(off_rad):.1f} degrees off its volume")
 
 
 def _audit_outside(
@@ -190,6 +221,13 @@ class _Drawer:
 
     annotator: Annotator
     marking_trace: MarkingTrace | None
+    audits: dict[Volume, VolumeAudit] = field(default_factory=dict)
+
+    def audit_of(self, volume: Volume, size_px: int) -> VolumeAudit:
+        """Return what audits a volume, which images share."""
+        if volume not in self.audits:
+            self.audits[volume] = VolumeAudit(volume, self.annotator.spec.tolerance_px, size_px)
+        return self.audits[volume]
 
     def differing_px(self, R_gt: Rotations, R_m2c: Rotations) -> float | None:
         """Return by how many pixels the image at R_m2c differs from that at R_gt; None without the general rule."""
@@ -217,10 +255,19 @@ class _Drawer:
         if differing_px is None or tolerance_px is None:
             return _faults_of_member(stored, drawn)
         within_px = min(differing_px, tolerance_px)
-        faults = _faults_of_member(stored, drawn, within_px)
+        faults = _faults_of_member(stored, drawn, within_px, self.beside_silhouette)
         if differing_px >= tolerance_px + EDGE_AREA_PX:
             faults.append(f"differs in {differing_px:g} pixels of the parts that break the symmetry")
         return faults
+
+    @property
+    def beside_silhouette(self) -> int:
+        """How many pixels may differ since facets stand for a round body: those of the ring that they may leave off."""
+        rule = self.annotator.general_rule
+        if rule is None:
+            return 0
+        radius_px = rule.camera.focal_px / np.sqrt(rule.camera.distance**2 - 1.0)
+        return round(2.0 * np.pi * radius_px**2 * rule.spec.max_offset)
 
     def drawing(
         self,
@@ -235,7 +282,9 @@ class _Drawer:
         return _Drawing(rgb, segmentation, depth, trace, coset_px, shows)
 
 
-def _faults_of_member(stored: _Drawing, drawn: _Drawing, differing_px: float | None = None) -> list[str]:
+def _faults_of_member(
+    stored: _Drawing, drawn: _Drawing, differing_px: float | None = None, beside_silhouette: int = 0
+) -> list[str]:
     """Say in what a member of an image's set draws another image.
 
     Args:
@@ -243,6 +292,7 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing, differing_px: float | N
         drawn: the member's drawing.
         differing_px: by how much the general rule lets them differ, by which a part may show in one alone; None where
             another rule is the set's.
+        beside_silhouette: how many pixels more may differ, of a body that is round only within a tolerance.
     """
     faults = []
     if drawn.shows != stored.shows and differing_px is None:
@@ -253,7 +303,7 @@ def _faults_of_member(stored: _Drawing, drawn: _Drawing, differing_px: float | N
     if drawn.coset_px == 0 and drawn.trace.any():
         faults.append("hides the marking, yet its RGB carries a trace of the marking's colour")
     below_tolerance = sum(0 if drawing.shows else drawing.coset_px for drawing in (stored, drawn))
-    allowed = EDGE_PIXELS + round(_POINTS_PER_PIXEL * max(below_tolerance, differing_px or 0.0))
+    allowed = EDGE_PIXELS + beside_silhouette + round(_POINTS_PER_PIXEL * max(below_tolerance, differing_px or 0.0))
     rgb = np.abs(stored.rgb.astype(np.int16) - drawn.rgb.astype(np.int16)).max(axis=-1) > RGB_LEVELS
     differing = {
         "segmentation": int(np.count_nonzero(stored.segmentation != drawn.segmentation)),

@@ -102,8 +102,8 @@ class ShardMaker:
         coset_px = annotator.shown_px(R_gt, view)
         if not annotated:
             return ImageRecord(view, R_gt, coset_px, None)
-        annotation = annotator.annotate(R_gt, coset_px)
+        annotation = annotator.annotate(R_gt, coset_px, view)
         drawn_px = annotation.candidate_px
         counts["candidates_drawn"] += int(np.count_nonzero(np.isfinite(drawn_px)))
         counts["candidates_within_tolerance"] += int(np.count_nonzero((drawn_px > 0) & ~annotator.is_shown(drawn_px)))
-        return ImageRecord(view, R_gt, coset_px, annotation.mask)
+        return ImageRecord(view, R_gt, coset_px, annotation.mask, annotation.volume)

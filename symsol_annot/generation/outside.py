@@ -28,6 +28,8 @@ def found_outside(spec: ObjectSpec) -> tuple[Rotations, tuple[str, ...]]:
     Returns:
         (n, 3, 3) rotations g, of circles by whole degrees, and in words what was not looked for.
     """
+    if spec.has_all_rotations:
+        return np.zeros((0, 3, 3)), ()  # no rotation is outside of SO(3)
     try:
         found = find_in_shell(spec, shell_of(spec))
     except ObjectError as error:

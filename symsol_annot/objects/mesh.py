@@ -1,11 +1,13 @@
 """Triangle meshes of objects."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 _CONVEX = 2e-7  # radii that a vertex may lie outside a plane: what float32 makes of coordinates
+_PRODUCTS = 2**20  # of planes with vertices, held at once
 BODY_ID, MARKING_ID = 1, 2  # of the parts; 0 is the background's
 
 
@@ -47,10 +49,15 @@ class Mesh:
         return self.vertices[self.triangles[self.part_ids == part]]
 
 
+@lru_cache(maxsize=8)
 def is_convex(mesh: Mesh) -> bool:
     """Tell whether a closed mesh bounds a convex body: no vertex lies outside the plane of any face."""
     normals, offsets = face_planes(mesh)
-    return bool((normals @ mesh.vertices.T <= offsets[:, None] + _CONVEX).all())
+    step = max(_PRODUCTS // len(mesh.vertices), 1)
+    return all(
+        bool((normals[start : start + step] @ mesh.vertices.T <= offsets[start : start + step, None] + _CONVEX).all())
+        for start in range(0, len(normals), step)
+    )
 
 
 def face_planes(mesh: Mesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

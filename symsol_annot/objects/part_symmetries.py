@@ -30,7 +30,7 @@ def stabiliser_of_part(triangles: Points, group: Rotations) -> Flags:
         if not is_open[element] or certified[element]:
             continue
         coset = nearest_element(group, group[element] @ group[certified])
-        if is_open[coset].all() and _lands(triangles, triangles, group[element]):
+        if is_open[coset].all() and lands_on(triangles, triangles, group[element]):
             generators.append(element)
             certified = _generated(group, certified, generators)
         else:
@@ -42,11 +42,11 @@ def carried_onto(triangles: Points, others: Points, group: Rotations) -> Flags:
     """Tell which rotations of a group (G, 3, 3) carry triangles (T, 3, 3) onto other ones (U, 3, 3): (G,)."""
     fits = _moments_fit(triangles, others, group)
     for element in np.flatnonzero(fits).tolist():
-        fits[element] = _lands(triangles, others, group[element])
+        fits[element] = lands_on(triangles, others, group[element])
     return fits
 
 
-def _lands(triangles: Points, others: Points, R: Rotations) -> bool:
+def lands_on(triangles: Points, others: Points, R: Rotations) -> bool:
     """Tell whether a rotation carries points spread over triangles, and all their corners, onto other triangles.
 
     A few points refute most rotations. A corner that comes to lie on a corner needs no distance to triangles.
@@ -79,8 +79,8 @@ def _generated(group: Rotations, certified: Flags, generators: list[int]) -> Fla
 
 def _moments_fit(triangles: Points, others: Points, group: Rotations) -> Flags:
     """Tell which rotations carry area, centroid and second moments of triangles onto those of others."""
-    area, centroid, moments = _moments(triangles)
-    other_area, other_centroid, other_moments = _moments(others)
+    area, centroid, moments = moments_of(triangles)
+    other_area, other_centroid, other_moments = moments_of(others)
     if abs(area - other_area) > _MOMENT_SLACK * max(area, other_area):
         return np.zeros(len(group), dtype=bool)
     off = np.linalg.norm(group @ centroid - other_centroid, axis=-1)
@@ -88,7 +88,7 @@ def _moments_fit(triangles: Points, others: Points, group: Rotations) -> Flags:
     return np.asarray((off <= _MOMENT_SLACK) & (np.abs(turned - other_moments).max(axis=(1, 2)) <= _MOMENT_SLACK))
 
 
-def _moments(triangles: Points) -> tuple[float, Points, Points]:
+def moments_of(triangles: Points) -> tuple[float, Points, Points]:
     """Return the area of triangles, its centroid (3,), and its mean of x x^T (3, 3)."""
     sides = triangles[:, 1:] - triangles[:, :1]
     areas = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2.0

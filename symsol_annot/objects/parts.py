@@ -134,14 +134,11 @@ def read_mesh_name(toml: ObjectToml) -> str:
     return name
 
 
-def breaking_parts(
-    toml: ObjectToml, mesh: Mesh, parts: tuple[Part, ...], of: tuple[str, ...], group: Rotations
-) -> Breaking:
-    """Return which parts break the group (G, 3, 3) of the parts named `of`, and what leaves all of them in place.
+def refuse_unseen_parts(toml: ObjectToml, mesh: Mesh, parts: tuple[Part, ...]) -> None:
+    """Refuse parts of which no picture could show anything.
 
     Raises:
-        ObjectError: a part has no faces, or is closed and inside out, or painted on another in its colour, or the group
-            carries one breaking part onto another of the same colour.
+        ObjectError: a part has no faces, or is closed and inside out, or painted on another in its colour.
     """
     for number, part in enumerate(parts):
         if not (mesh.part_ids == BODY_ID + number).any():
@@ -150,6 +147,16 @@ def breaking_parts(
             )
     _refuse_inside_out(toml, mesh, parts)
     _refuse_unseen_paint(toml, mesh, parts)
+
+
+def breaking_parts(
+    toml: ObjectToml, mesh: Mesh, parts: tuple[Part, ...], of: tuple[str, ...], group: Rotations
+) -> Breaking:
+    """Return which parts break the group (G, 3, 3) of the parts named `of`, and what leaves all of them in place.
+
+    Raises:
+        ObjectError: the group carries one breaking part onto another of the same colour.
+    """
     others = [BODY_ID + number for number, part in enumerate(parts) if part.name not in of]
     kept = {part: stabiliser_of_part(mesh.triangles_of(part), group) for part in others}
     ids = tuple(part for part, mask in kept.items() if not mask.all())

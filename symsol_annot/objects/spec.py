@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.errors import ObjectError, RotationError, UnknownObjectError
+from symsol_annot.objects.all_rotations import declares_all_rotations, turns_of_parts
 from symsol_annot.objects.group_toml import read_group
 from symsol_annot.objects.mesh import Mesh
 from symsol_annot.objects.obj_file import MAX_MESH_BYTES, parse_mesh, read_object_file
@@ -29,6 +30,7 @@ from symsol_annot.objects.parts import (
     read_of,
     read_parts,
     read_tolerance,
+    refuse_unseen_parts,
 )
 from symsol_annot.rotations.groups import left_cosets
 from symsol_annot.rotations.so3 import Rotations
@@ -63,13 +65,16 @@ class ObjectSpec:
         digest: SHA-256 over the bytes of object.toml and of the mesh that were read.
         folder: where it was read from; None where it was not read from a folder.
         mesh: the surface.
-        symmetry_group: (G, 3, 3) C, the rotations that map the unmarked body onto itself, identity first.
+        symmetry_group: (G, 3, 3) C, the rotations that map the unmarked body onto itself, identity first; where those
+            are all of SO(3), the ones that keep a part in place, which are the candidates beside a volume.
         marking: None for a body without one.
         parts: all of them in the order of their ids, the body first, whose id is 1.
         has_general_rule: whether its symmetry sets follow from a comparison of images, as those of format version 2;
             else from whether the marking shows.
         max_offset: how far the group may carry the surface off itself, in radii, for it to count as having the group:
             so a body of facets counts as round. 0 where none is stated.
+        kept_by_turns: (B, G) bool of a ball, which of `symmetry_group` keep each of `mesh.breaking` in place; None of a
+            body with another group.
     """
 
     name: str
@@ -82,6 +87,12 @@ class ObjectSpec:
     parts: tuple[Part, ...]
     has_general_rule: bool = False
     max_offset: float = 0.0
+    kept_by_turns: npt.NDArray[np.bool_] | None = None
+
+    @property
+    def has_all_rotations(self) -> bool:
+        """Whether every rotation maps the unmarked body onto itself, so that sets can fill a volume."""
+        return self.kept_by_turns is not None
 
     @property
     def stabiliser(self) -> Rotations:
@@ -181,16 +192,35 @@ def _read_parted(folder: Path, toml: ObjectToml, names: tuple[str, str], toml_di
             "symmetry.group",
             "is not read: state kind, order and axis, as `symsol-annot symmetries MESH` finds them",
         )
-    group, tolerance_px, max_offset = read_group(toml, "symmetry"), read_tolerance(toml), read_max_offset(toml)
+    has_all_rotations = declares_all_rotations(toml)
+    group = np.eye(3)[None] if has_all_rotations else read_group(toml, "symmetry")
+    tolerance_px, max_offset = read_tolerance(toml), read_max_offset(toml)
     path = folder / read_mesh_name(toml)
     toml.refuse_unknown_fields()
     mesh_data = read_object_file(path, MAX_MESH_BYTES)
     mesh = parse_mesh(mesh_data, path, tuple(part.material for part in parts))
     digest = hashlib.sha256(toml_digest + hashlib.sha256(mesh_data).digest()).hexdigest()
-    found = breaking_parts(toml, mesh, parts, of, group)
-    mesh = replace(mesh, breaking=found.ids)
-    marking = Marking(group[found.stabiliser], tolerance_px) if found.ids else None
-    return ObjectSpec(*names, digest, folder, mesh, group, marking, parts, has_general_rule=True, max_offset=max_offset)
+    refuse_unseen_parts(toml, mesh, parts)
+    if has_all_rotations:
+        turns = turns_of_parts(toml, mesh, parts, of)
+        group, ids, stabiliser, kept = turns.candidates, turns.ids, turns.kept.all(axis=0), turns.kept
+    else:
+        found = breaking_parts(toml, mesh, parts, of, group)
+        ids, stabiliser, kept = found.ids, found.stabiliser, None
+    mesh = replace(mesh, breaking=ids)
+    marking = Marking(group[stabiliser], tolerance_px) if ids else None
+    return ObjectSpec(
+        *names,
+        digest,
+        folder,
+        mesh,
+        group,
+        marking,
+        parts,
+        has_general_rule=True,
+        max_offset=max_offset,
+        kept_by_turns=kept,
+    )
 
 
 def _assets() -> Path:

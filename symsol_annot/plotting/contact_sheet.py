@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.plotting.canvas import colour_patch, label_text, legend_below, new_figure, write_figure
-from symsol_annot.plotting.rotations import draw_pi_ball, marks_of_sets, size_text
+from symsol_annot.plotting.rotations import draw_pi_ball, marks_of_sets, shown_of, size_text
 from symsol_annot.sets.dataset import Sample
 from symsol_annot.sets.stated.equality import PartsOfSet
 
@@ -65,9 +65,8 @@ def contact_sheet(
             _draw_picture(figure.add_subplot(*places[1]), ID_COLOURS[sample.segmentation], caption)
         if sample.is_annotated:
             ball = figure.add_subplot(*places[2], projection="3d")
-            members = sample.symmetry_set.members
-            draw_pi_ball(ball, members, sample.rotation)
-            ball.set_title(size_text(len(members)), fontsize=8, pad=0)
+            draw_pi_ball(ball, shown_of(sample.symmetry_set), sample.rotation)
+            ball.set_title(size_text(sample.symmetry_set), fontsize=8, pad=0)
     marks = marks_of_sets() if any(sample.is_annotated for sample in samples) else []
     if named := [*marks, *(_colours_of(parts) if parts else [])]:
         legend_below(figure, named, columns=_MOST_IN_LEGEND)

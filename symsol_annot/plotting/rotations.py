@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from symsol_annot.annotation.symmetry_set import SymmetrySet
 from symsol_annot.errors import RotationError
 from symsol_annot.plotting.canvas import (
     PREDICTED,
@@ -31,6 +32,7 @@ _PLACES = {
     "pi-ball": "rotation vectors (axis times angle) in the ball of radius π",
     "mollweide": "place: where an axis of the model points, the camera in the middle; colour: the tilt about it",
 }
+_DOTS_OF_VOLUME = 1500  # that show a volume
 _MANY = 60  # members from which on they are drawn small
 _OKLAB_TO_LMS = np.array(
     [[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]
@@ -75,10 +77,10 @@ def plot_sets(
         image.set(xticks=[], yticks=[])
         image.set_title(f"image {sample.index}", fontsize=8, pad=2)
         axes = figure.add_subplot(grid[row, 1], projection=projection)
-        members, found = sample.symmetry_set.members, None if predicted is None else predicted[row]
-        draw(axes, members, sample.rotation, found)
+        found = None if predicted is None else predicted[row]
+        draw(axes, shown_of(sample.symmetry_set), sample.rotation, found)
         count = "" if found is None else f", {len(found)} predicted"
-        axes.set_title(f"{size_text(len(members))}{count}", fontsize=8, pad=4)
+        axes.set_title(f"{size_text(sample.symmetry_set)}{count}", fontsize=8, pad=4)
     marks = marks_of_sets(kind, predicted=predicted is not None)
     legend_below(figure, marks, columns=3, title=_PLACES[kind])
     if title:
@@ -86,8 +88,19 @@ def plot_sets(
     write_figure(figure, path)
 
 
-def size_text(count: int) -> str:
+def shown_of(symmetry_set: SymmetrySet) -> Rotations:
+    """Return the rotations (k, 3, 3) that stand for a set in a picture: its members, and of a volume some, evenly."""
+    if symmetry_set.volume is None:
+        return symmetry_set.members
+    drawn = symmetry_set.volume.sample(_DOTS_OF_VOLUME, np.random.default_rng(0))
+    return np.concatenate([symmetry_set.members, drawn])
+
+
+def size_text(symmetry_set: SymmetrySet) -> str:
     """Return how large a set is, in words."""
+    if symmetry_set.volume is not None:
+        return f"{symmetry_set.measure:.1%} of all rotations"
+    count = len(symmetry_set.turns)
     return f"{count} rotation{'s' * (count != 1)}"
 
 

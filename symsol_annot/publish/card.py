@@ -131,7 +131,7 @@ def _measured(sets: tuple[PublishedSet, ...], figures: Figures) -> str:
 
 def _cells(found: SplitFigures) -> list[str]:
     counted = found.statistics
-    sizes = sizes_in_words(counted.set_sizes) if counted.is_annotated else "no symmetry sets"
+    sizes = sizes_in_words(counted.set_sizes, counted.measures) if counted.is_annotated else "no symmetry sets"
     if not counted.has_marking:
         return ["", "", sizes, "", ""]
     shown = f"{counted.shown:,} ({100 * counted.shown / counted.images:.1f}%)"

@@ -63,6 +63,9 @@ _SAMPLE_FIELDS: dict[str, tuple[str, str | None, str]] = {  # type, shape, descr
     "marking_visible": ("sc:Boolean", None, "Whether that is at least the object's tolerance."),
     "part_pixels": ("cr:Float32", "-1", "The visible area in pixels of each of the set's parts; null where not known."),
 }
+_VOLUME_FIELD: dict[str, tuple[str, str | None, str]] = {  # of balls
+    "volume": ("cr:Int32", None, "Which of the set's volumes belongs to the image's set besides; -1 for none."),
+}
 _FIELDS_OF_PARTS = {  # of sets whose objects have parts by name
     "marking_pixels": "The visible area in pixels of that part which shows most, of those that break the symmetry.",
     "marking_visible": "Whether that is at least the object's tolerance.",
@@ -71,6 +74,11 @@ _GROUP_FIELDS: dict[str, tuple[str, str | None, str]] = {
     "set": ("sc:Text", None, "The set's name."),
     "symmetry_group": ("cr:Float64", "-1,3,3", "The body's symmetries g: the image's set is R_m2c g, g in the mask."),
     "parts": ("sc:Text", "-1", "The names of the object's parts, in the order of their ids, the first of id 1."),
+}
+
+
+_VOLUMES_FIELD: dict[str, tuple[str, str | None, str]] = {
+    "volumes": ("sc:Text", "-1", "Masks of cells of the equivolumetric grid of level 5, bits, as a zlib stream each."),
 }
 
 
@@ -98,8 +106,9 @@ def croissant_json(
                 _record_set(name, f"The {split} images of {published.name}.", source, _fields_of(published))
             )
     source = {"fileObject": {"@id": GROUPS_NAME}}
+    of_groups = {**_GROUP_FIELDS, **(_VOLUMES_FIELD if any(map(_fills_volumes, sets)) else {})}
     record_sets.append(
-        _record_set(GROUPS_CONFIG, "The symmetry group of each set's body, and its parts.", source, _GROUP_FIELDS)
+        _record_set(GROUPS_CONFIG, "The symmetry group of each set's body, and its parts.", source, of_groups)
     )
     document = {
         "@context": _CONTEXT,
@@ -128,9 +137,16 @@ def _fields_of(published: PublishedSet) -> dict[str, tuple[str, str | None, str]
     described = {"segmentation": f"Grey PNG of ids: 0 background, {ids}."}
     if settings.named_parts:
         described |= _FIELDS_OF_PARTS
-    return {
-        column: (kind, shape, described.get(column, text)) for column, (kind, shape, text) in _SAMPLE_FIELDS.items()
-    }
+    fields = {**_SAMPLE_FIELDS, **(_VOLUME_FIELD if _fills_volumes(published) else {})}
+    return {column: (kind, shape, described.get(column, text)) for column, (kind, shape, text) in fields.items()}
+
+
+def _fills_volumes(published: PublishedSet) -> bool:
+    """Tell whether sets of the images can fill a volume, so that Parquet files have the column `volume`."""
+    settings = published.manifest.settings
+    equality = getattr(settings, "equality", None)
+    is_annotated = any(settings.is_annotated(split) for split in published.splits)
+    return is_annotated and equality is not None and bool(equality.has_all_rotations)
 
 
 def _file(name: str, encoding: str, bundle: Bundle) -> dict[str, Any]:

@@ -71,6 +71,9 @@ def to_document(figures: Figures) -> dict[str, Any]:
         statistics = {**asdict(found.statistics), "set_sizes": sizes}
         for of_parts in ("parts_shown", "breaking", "sizes_by_parts"):  # of objects that a card tells nothing of
             del statistics[of_parts]
+        measures = statistics.pop("measures")
+        if measures:
+            statistics["measures"] = {repr(share): images for share, images in sorted(measures.items())}
         document.setdefault(name, {})[split] = {**asdict(found), "statistics": statistics}
     return document
 
@@ -81,6 +84,7 @@ def from_document(document: Mapping[str, Any]) -> Figures:
     for name, splits in document.items():
         for split, kept in splits.items():
             sizes = Counter({int(size): images for size, images in kept["statistics"]["set_sizes"].items()})
-            statistics = SplitStatistics(**{**kept["statistics"], "set_sizes": sizes})
+            measures = Counter({float(share): count for share, count in kept["statistics"].get("measures", {}).items()})
+            statistics = SplitStatistics(**{**kept["statistics"], "set_sizes": sizes, "measures": measures})
             figures[name, split] = SplitFigures(**{**kept, "statistics": statistics})
     return figures

@@ -6,17 +6,20 @@ are left to the shards: no image format that such readers show holds 32-bit numb
 
 import io
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Sample
-from symsol_annot.sets.shard.chunks import deflate_version
+from symsol_annot.sets.shard.chunks import deflate_version, deflated
+from symsol_annot.sets.shard.volumes import bits_of
 from symsol_annot.system.png import to_png
 
 PARQUET_FORMAT_VERSION = 2
@@ -33,17 +36,24 @@ _SAMPLE_COLUMNS = {
     "marking_visible": pa.bool_(),
     "part_pixels": pa.list_(pa.float32()),
 }
+_VOLUME_COLUMN = {"volume": pa.int32()}  # of balls alone, whose sets can fill a volume
+_VOLUMES_COLUMN = {"volumes": pa.list_(pa.binary())}  # beside the groups, where some set has volumes
 _SET_COLUMNS = {"set": pa.string(), "symmetry_group": pa.list_(_ROTATION), "parts": pa.list_(pa.string())}
 
 
-def samples_to_parquet(samples: Iterable[Sample], source: dict[str, str]) -> bytes:
+def samples_to_parquet(
+    samples: Iterable[Sample], source: dict[str, str], volumes: Sequence[Volume] | None = None
+) -> bytes:
     """Return samples as a Parquet file, a row each.
 
     Args:
         samples: of one set, in order.
         source: where they come from; goes into the file, under the name symsol_annot, with the software's versions.
+        volumes: those that sets of the object fill, into which the column `volume` points, -1 for none; None of an
+            object whose sets never do, which has no such column.
     """
-    columns: dict[str, list[Any]] = {name: [] for name in _SAMPLE_COLUMNS}
+    types = _SAMPLE_COLUMNS if volumes is None else {**_SAMPLE_COLUMNS, **_VOLUME_COLUMN}
+    columns: dict[str, list[Any]] = {name: [] for name in types}
     for sample in samples:
         mask, part_pixels = sample.symmetry_mask, sample.part_pixels
         columns["index"].append(sample.index)
@@ -54,17 +64,33 @@ def samples_to_parquet(samples: Iterable[Sample], source: dict[str, str]) -> byt
         columns["marking_pixels"].append(np.float32(sample.marking_pixels))
         columns["marking_visible"].append(sample.marking_visible)
         columns["part_pixels"].append(None if part_pixels is None else part_pixels.tolist())
-    return _to_bytes(columns, _SAMPLE_COLUMNS, source)
+        if volumes is not None:
+            columns["volume"].append(-1 if sample.volume is None else volumes.index(sample.volume))
+    return _to_bytes(columns, types, source)
 
 
-def groups_to_parquet(groups: dict[str, Rotations], parts: dict[str, tuple[str, ...]]) -> bytes:
-    """Return the symmetry groups (G, 3, 3) and the parts' names of sets, by the sets' names, as a Parquet file."""
+def groups_to_parquet(
+    groups: dict[str, Rotations],
+    parts: dict[str, tuple[str, ...]],
+    volumes: Mapping[str, Sequence[Volume] | None] = MappingProxyType({}),
+) -> bytes:
+    """Return the symmetry groups (G, 3, 3), the parts' names and the volumes of sets, as a Parquet file.
+
+    Args:
+        groups: by the sets' names.
+        parts: by the sets' names.
+        volumes: by the sets' names; None of a set that has none. Each is bits of the grid's cells, as in a shard, that
+            zlib inflates. Where no set has any, neither has the file the column.
+    """
     columns = {
         "set": list(groups),
         "symmetry_group": [group.tolist() for group in groups.values()],
         "parts": [list(parts[name]) for name in groups],
     }
-    return _to_bytes(columns, _SET_COLUMNS, {})
+    if not any(volumes.values()):
+        return _to_bytes(columns, _SET_COLUMNS, {})
+    columns["volumes"] = [[deflated(bits_of([one]).tobytes()) for one in volumes.get(name) or ()] for name in groups]
+    return _to_bytes(columns, {**_SET_COLUMNS, **_VOLUMES_COLUMN}, {})
 
 
 def is_made_from(path: Path, source: dict[str, str]) -> bool:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.archives.archive import archive_blocks
 from symsol_annot.archives.digest_files import to_digest_line
 from symsol_annot.errors import DataError, bulleted
@@ -61,7 +62,8 @@ def publish(
                 _put_webdataset(bundle, published)
         groups = {published.name: _group_of(published) for published in sets}
         parts = {published.name: published.manifest.settings.parts for published in sets}
-        bundle.put(GROUPS_NAME, groups_to_parquet(groups, parts))
+        volumes = {published.name: _volumes_of(published) for published in sets}
+        bundle.put(GROUPS_NAME, groups_to_parquet(groups, parts, volumes))
         bundle.put(CITATION_NAME, citation_cff(about).encode())
         bundle.put(CROISSANT_NAME, croissant_json(about, _DESCRIPTION, bibtex(about), sets, bundle))
         figures = {(one.name, split): measure(one, split, bundle) for one in sets for split in one.splits}
@@ -95,7 +97,7 @@ def _refuse_faults(sets: tuple[PublishedSet, ...], on_shard: Callable[[], object
 
 
 def _put_set(bundle: Bundle, published: PublishedSet, on_shard: Callable[[], object]) -> None:
-    manifest = published.manifest
+    manifest, volumes = published.manifest, _volumes_of(published)
     bundle.put(published.manifest_name, (published.folder / MANIFEST_NAME).read_bytes())
     for split in published.splits:
         with load(published.folder, split) as dataset:
@@ -104,7 +106,7 @@ def _put_set(bundle: Bundle, published: PublishedSet, on_shard: Callable[[], obj
                 name, source = published.parquet_name(entry), {"shard": entry.file, "shard_sha256": str(entry.sha256)}
                 if bundle.sha256(name) is None or not is_made_from(bundle.folder / name, source):
                     samples = dataset[entry.first_index : entry.first_index + entry.images]
-                    bundle.put(name, samples_to_parquet(samples, source))
+                    bundle.put(name, samples_to_parquet(samples, source, volumes))
                 on_shard()
 
 
@@ -120,6 +122,18 @@ def _put_webdataset(bundle: Bundle, published: PublishedSet) -> None:
             for entry in published.manifest.of_split(split):
                 samples = dataset[entry.first_index : entry.first_index + entry.images]
                 bundle.put(published.webdataset_name(entry.file), samples_to_tar(samples))
+
+
+def _volumes_of(published: PublishedSet) -> tuple[Volume, ...] | None:
+    """Return the volumes that sets of a set's images fill, each once; None of an object whose sets never do."""
+    found: list[Volume] = []
+    has_any = False
+    for split in published.splits:
+        with load(published.folder, split) as dataset:
+            if dataset.has_volumes:
+                has_any = True
+                found += [volume for volume in dataset.labels().volumes if volume not in found]
+    return tuple(found) if has_any else None
 
 
 def _group_of(published: PublishedSet) -> Rotations:

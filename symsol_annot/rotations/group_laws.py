@@ -47,7 +47,7 @@ def right_products(group: Rotations, element: int) -> Indices:
 @lru_cache(maxsize=64)
 def _checked(data: bytes, tolerance: float) -> GroupCheck:
     group = np.frombuffer(data).reshape(-1, 3, 3)
-    faults = _faults_of_elements(group)
+    faults = faults_of_elements(group)
     if faults:
         return GroupCheck(faults, np.zeros(0, dtype=np.intp))
     generators: list[int] = []
@@ -65,7 +65,8 @@ def _checked(data: bytes, tolerance: float) -> GroupCheck:
     return GroupCheck((), np.array(generators, dtype=np.intp))
 
 
-def _faults_of_elements(group: Rotations) -> tuple[str, ...]:
+def faults_of_elements(group: Rotations) -> tuple[str, ...]:
+    """Return why (G, 3, 3) are not different rotations, the identity first, in words; none where they are."""
     bad = ~(rotation_deviation(group) <= ORTHONORMAL_TOLERANCE)
     if bad.any():
         return (f"element {int(np.argmax(bad))} is no rotation",)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.rotations.groups import left_cosets
+from symsol_annot.errors import RotationError
+from symsol_annot.rotations.groups import nearest_element
 from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, rotations_about
 
 CONTINUOUS_CIRCLE_ORDER = 360  # a circle of steps of 1 degree or less stands for a continuous one
@@ -75,11 +76,15 @@ class Circles:
         axis: (3,) of the turns, in model coordinates.
         starts: (c, 3, 3), g of each circle.
         index: (c, n), the group's index of each element.
+        isolated: (m, 3, 3) what lies on none of them; nothing of a group, but of a list of candidates perhaps.
+        isolated_index: (m,) their indices in it.
     """
 
     axis: npt.NDArray[np.float64]
     starts: Rotations
     index: npt.NDArray[np.intp]
+    isolated: Rotations
+    isolated_index: npt.NDArray[np.intp]
 
     @property
     def step_rad(self) -> float:
@@ -88,7 +93,10 @@ class Circles:
 
 
 def find_circles(group: Rotations) -> Circles | None:
-    """Return the circles of a group (G, 3, 3) that discretises a continuous one; None for any other group."""
+    """Return the circles of a group (G, 3, 3) that discretises a continuous one; None for any other group.
+
+    It may be a list of candidates, which is no group: rotations of other axes beside circles about one.
+    """
     angles = angle_between(group, np.eye(3))
     angles[0] = np.inf  # the identity
     step = group[int(np.argmin(angles))]
@@ -97,8 +105,25 @@ def find_circles(group: Rotations) -> Circles | None:
         return None
     axis = np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
     axis /= np.linalg.norm(axis)
-    index = left_cosets(group, rotations_about(axis, 2.0 * np.pi * np.arange(order) / order))
-    return Circles(axis, group[index[:, 0]], index)
+    index = _full_circles(group, rotations_about(axis, 2.0 * np.pi * np.arange(order) / order))
+    if not len(index):
+        return None
+    isolated = np.setdiff1d(np.arange(len(group)), index)
+    return Circles(axis, group[index[:, 0]], index, group[isolated], isolated)
+
+
+def _full_circles(group: Rotations, circle: Rotations) -> npt.NDArray[np.intp]:
+    """Return the indices (c, n) of the g Rot, Rot of a circle (n, 3, 3), that are in a list (G, 3, 3) as a whole."""
+    unseen, found = np.ones(len(group), dtype=bool), []
+    for first in range(len(group)):
+        if unseen[first]:
+            try:
+                index = nearest_element(group, group[first] @ circle)
+            except RotationError:
+                continue  # it is isolated
+            unseen[index] = False
+            found.append(index)
+    return np.array(found, dtype=np.intp).reshape(len(found), len(circle))
 
 
 def angles_to_arcs(
@@ -155,7 +180,11 @@ def nearest_angles_on_circles(
     close = np.flatnonzero(squared < _CLOSE_SQUARED)
     members = starts[nearest[close] // steps] @ turns[nearest[close] % steps]
     squared[close] = np.square(R_other[close] - members).sum(axis=(-2, -1))
-    return _angle_of_squared(squared)
+    angles = _angle_of_squared(squared)
+    is_member = mask[circles.isolated_index]
+    if is_member.any():
+        np.minimum(angles, nearest_angles(R_other, R @ circles.isolated[is_member]), out=angles)
+    return angles
 
 
 def _turns_to_nearest(circles: Circles, starts: Rotations, R_other: Rotations) -> npt.NDArray[np.float64]:

@@ -12,20 +12,20 @@ from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.annotation.symmetry_set import SymmetrySet, circles_of
+from symsol_annot.annotation.symmetry_set import SymmetrySet
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.errors import DamageError, DataError, NotAnnotatedError
-from symsol_annot.rotations.nearest import Circles
-from symsol_annot.rotations.so3 import Rotations, angle_between
+from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.sets.membership import checked_shard
 from symsol_annot.sets.shard.chunks import ByteFile
+from symsol_annot.sets.shard.labels import Labels
 from symsol_annot.sets.shard.reader import Shard, ShardLabels
 from symsol_annot.sets.words import sample_in_words, without_sets
 from symsol_annot.system.closing import Closing
@@ -55,6 +55,7 @@ class Sample:
             set, and in one of format version 1, which does not say.
         depth: (H, W) f4, how far along the camera's axis what is seen at each pixel's centre lies from the camera, in
             bounding-sphere radii, 0 at the background; None in a set without depth.
+        volume: the part of SO(3) that the set fills beside its members; None where it fills none.
     """
 
     index: int
@@ -67,6 +68,7 @@ class Sample:
     symmetry_group: Rotations
     part_pixels: npt.NDArray[np.float32] | None = None
     depth: npt.NDArray[np.float32] | None = None
+    volume: Volume | None = None
 
     def __repr__(self) -> str:
         return sample_in_words(self)
@@ -87,63 +89,7 @@ class Sample:
             is_sealed = not np.isfinite(self.rotation).all()
             why = without_sets(is_imported=self.segmentation is None, is_sealed=is_sealed)
             raise NotAnnotatedError(f"image {self.index} has no symmetry set: its split {why}")
-        return SymmetrySet(self.rotation, self.symmetry_group, self.symmetry_mask)
-
-
-@dataclass(frozen=True, eq=False)
-class Labels:
-    """What is known of a split's N images, without the images.
-
-    Attributes:
-        rotation: (N, 3, 3) f8, R_m2c.
-        symmetry_mask: (N, G) bool over `symmetry_group`.
-        symmetry_group: (G, 3, 3) f8, the body's symmetries, identity first.
-        marking_pixels: (N,) f4, as `Sample.marking_pixels`.
-        marking_visible: (N,) bool, whether that is at least the object's tolerance; False in an imported set, which has
-            sets for bodies without marking alone.
-        part_pixels: (N, P) f4, as `Sample.part_pixels`; None where that is.
-    """
-
-    rotation: Rotations
-    symmetry_mask: npt.NDArray[np.bool_]
-    symmetry_group: Rotations
-    marking_pixels: npt.NDArray[np.float32]
-    marking_visible: npt.NDArray[np.bool_]
-    part_pixels: npt.NDArray[np.float32] | None = None
-
-    def __len__(self) -> int:
-        return len(self.rotation)
-
-    def symmetry_set(self, row: int) -> SymmetrySet:
-        """Return the set of all rotations R_m2c that draw image `row`."""
-        return SymmetrySet(self.rotation[row], self.symmetry_group, self.symmetry_mask[row])
-
-    def candidates(self, row: int) -> Rotations:
-        """Return the rotations (G, 3, 3) that draw image `row` but, perhaps, for its marking."""
-        return self.symmetry_set(row).candidates
-
-    def members(self, row: int) -> Rotations:
-        """Return the members (k, 3, 3) of the symmetry set of image `row`; k is in `set_sizes`."""
-        return self.symmetry_set(row).members
-
-    @cached_property
-    def set_sizes(self) -> npt.NDArray[np.int64]:
-        """(N,) how many members the symmetry set of each image has."""
-        return self.symmetry_mask.sum(axis=1)
-
-    @cached_property
-    def circles(self) -> Circles | None:
-        """The circles that the body's group discretises; None for a group of isolated rotations."""
-        return circles_of(self.symmetry_group)
-
-    def rejected_beyond(self, angle_rad: float) -> npt.NDArray[np.bool_]:
-        """Tell which candidates (N, G) are farther than an angle from every member of the image's set.
-
-        They show the body as the image does and the marking elsewhere; those nearer are hardly told from a member.
-        """
-        group = self.symmetry_group
-        near = np.stack([angle_between(g, group) <= angle_rad for g in group])
-        return ~(self.symmetry_mask.astype(np.float32) @ near.astype(np.float32) > 0)
+        return SymmetrySet(self.rotation, self.symmetry_group, self.symmetry_mask, self.volume)
 
 
 class Dataset(Closing, Sequence[Sample]):
@@ -195,6 +141,12 @@ class Dataset(Closing, Sequence[Sample]):
         return self.manifest.settings.has_depth
 
     @property
+    def has_volumes(self) -> bool:
+        """Whether sets of the object can fill a volume, so that `Labels.volume` is there; whether any does is open."""
+        equality = getattr(self.manifest.settings, "equality", None)
+        return self.is_annotated and equality is not None and bool(equality.has_all_rotations)
+
+    @property
     def fingerprint(self) -> str:
         """The SHA-256 that names the split by its contents, whether or not it was rendered with the other split."""
         return str(self.manifest.split_fingerprint(self.split))
@@ -218,8 +170,9 @@ class Dataset(Closing, Sequence[Sample]):
         rows = list(self._rows)
         shards = [self._labels_of(number) for number in range(len(self._entries))]
         self._refuse_another_stabiliser(shards)
+        volumes = self._with_common_volumes(shards)
         columns = {name: np.concatenate([shard[name] for shard in shards])[rows] for name in shards[0]}
-        return Labels(symmetry_group=self.symmetry_group, **columns)
+        return Labels(symmetry_group=self.symmetry_group, volumes=volumes, **columns)
 
     @property
     def indices(self) -> npt.NDArray[np.int64]:
@@ -284,6 +237,17 @@ class Dataset(Closing, Sequence[Sample]):
                 path, first = self.folder / self._entries[number].file, self._entries[showing[0]].file
                 raise DataError(f"{path}: the set of its images that show the marking is not that of {first}")
 
+    def _with_common_volumes(self, shards: list[dict[str, npt.NDArray[Any]]]) -> tuple[Volume, ...]:
+        """Return the volumes of all shards, each once, and make the arrays `volume` of these point into them."""
+        common: list[Volume] = []
+        for number, shard in enumerate(shards):
+            own = self._opened(number)[0].volumes
+            common += [volume for volume in own if volume not in common]
+            if "volume" in shard:
+                places = np.array([*(common.index(volume) for volume in own), -1], np.int32)
+                shard["volume"] = places[shard["volume"]]
+        return tuple(common)
+
     def close(self) -> None:
         """Close the files; the next access opens them again."""
         self._open.clear()
@@ -318,6 +282,7 @@ class _Shard:
         self._tolerance_px = shard.tolerance_px
         self._image, self._segmentation, self._depth = shard.image, shard.segmentation, shard.depth
         self._mask, self._part_pixels = labels.symmetry_mask, labels.part_pixels
+        self._volume, self.volumes = labels.volume, labels.volumes
         sealed = np.full((len(shard), 3, 3), np.nan)
         self._rotation = sealed if labels.rotation is None else labels.rotation
         unknown = np.full(len(shard), np.nan, dtype=np.float32)
@@ -350,6 +315,7 @@ class _Shard:
                 symmetry_group=self.symmetry_group,
                 part_pixels=None if self._part_pixels is None else self._part_pixels[row].copy(),
                 depth=None if self._depth is None else self._depth.row(row, file),
+                volume=None if self._volume is None or self._volume[row] < 0 else self.volumes[self._volume[row]],
             )
         except DamageError as error:
             raise DataError(f"{self._path}: {error}. `symsol-annot verify` checks the whole set") from None
@@ -364,7 +330,8 @@ class _Shard:
             "marking_pixels": self._pixels,
             "marking_visible": self._pixels >= self._tolerance_px,
         }
-        return columns if self._part_pixels is None else {**columns, "part_pixels": self._part_pixels}
+        optional = {"part_pixels": self._part_pixels, "volume": self._volume}
+        return columns | {name: values for name, values in optional.items() if values is not None}
 
 
 def load(folder: str | os.PathLike[str], split: str = "test", *, check: bool = True) -> Dataset:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from symsol_annot.rendering.renderer import BODY
 from symsol_annot.sets.manifest import Manifest
@@ -27,7 +28,8 @@ class SplitStatistics:
         parts_shown: of an object of format version 2, how many images show each of its parts, by name, in order.
         breaking: of such an object, the names of the parts that break its symmetry.
         sizes_by_parts: of such an object, `set_sizes` by which of its parts an image shows: their names, in order.
-        set_sizes: |S|: how many images have a set of this size.
+        set_sizes: |S|: how many images have a set of this size, of the sets that are isolated rotations and circles.
+        measures: how many images have a set that fills this share of all rotations, of the others.
         candidates_drawn: of how many candidates the marking's area was needed.
         candidates_within_tolerance: of how many of these it was below the tolerance but not 0.
     """
@@ -41,6 +43,7 @@ class SplitStatistics:
     breaking: tuple[str, ...] = ()
     sizes_by_parts: dict[tuple[str, ...], Counter[int]] = field(default_factory=dict)
     set_sizes: Counter[int] = field(default_factory=Counter)
+    measures: Counter[float] = field(default_factory=Counter)
     candidates_drawn: int = 0
     candidates_within_tolerance: int = 0
 
@@ -73,7 +76,9 @@ def split_statistics(folder: Path, manifest: Manifest, split: str) -> SplitStati
         shard, labels = checked_shard(folder, manifest, entry)
         statistics.images += len(shard)
         if labels.symmetry_mask is not None:
-            statistics.set_sizes.update(labels.symmetry_mask.sum(axis=1).tolist())
+            statistics.set_sizes.update(labels.symmetry_mask[~_have_volume(labels)].sum(axis=1).tolist())
+        if labels.volume is not None:
+            statistics.measures.update(labels.volumes[place].measure for place in labels.volume[labels.volume >= 0])
         if labels.marking_pixels is not None:
             statistics.shown += int(np.count_nonzero(labels.marking_pixels >= shard.tolerance_px))
         _count_parts(statistics, shard, labels)
@@ -93,14 +98,30 @@ def _count_parts(statistics: SplitStatistics, shard: Shard, labels: ShardLabels)
         statistics.parts_shown[name] += count
     if labels.symmetry_mask is None:
         return
-    for row, size in zip(shows, labels.symmetry_mask.sum(axis=1).tolist(), strict=True):
+    isolated = ~_have_volume(labels)
+    for row, size in zip(shows[isolated], labels.symmetry_mask[isolated].sum(axis=1).tolist(), strict=True):
         shown = tuple(name for name, is_shown in zip(names, row, strict=True) if is_shown)
         statistics.sizes_by_parts.setdefault(shown, Counter())[size] += 1
 
 
-def sizes_in_words(set_sizes: Counter[int]) -> str:
-    """Say which sizes symmetry sets have: each of a few, else the span and the median of those larger than 1."""
+def _have_volume(labels: ShardLabels) -> npt.NDArray[np.bool_]:
+    """Tell which images (N,) have sets that fill a volume."""
+    images = 0 if labels.symmetry_mask is None else len(labels.symmetry_mask)
+    return np.zeros(images, dtype=bool) if labels.volume is None else labels.volume >= 0
+
+
+def sizes_in_words(set_sizes: Counter[int], measures: Counter[float] | None = None) -> str:
+    """Say which sizes symmetry sets have: each of a few, else the span and the median of those larger than 1.
+
+    Args:
+        set_sizes: how many images have a set of so many rotations.
+        measures: how many have one that fills such a share of all rotations.
+    """
+    filling = [f"{share:.1%} of all rotations in {count}" for share, count in sorted((measures or {}).items())]
+    if filling:
+        return ", ".join([*filling, *([sizes_in_words(set_sizes)] if set_sizes else [])])
     if len(set_sizes) <= _FEW_SIZES:
         return ", ".join(f"{size} in {count}" for size, count in sorted(set_sizes.items()))
     several = sorted(size for size, count in set_sizes.items() for _ in range(count) if size > 1)
-    return f"1 in {set_sizes.get(1, 0)}, else {several[0]} to {several[-1]}, median {several[len(several) // 2]}"
+    single = f"1 in {set_sizes[1]}, else " if 1 in set_sizes else ""
+    return f"{single}{several[0]} to {several[-1]}, median {several[len(several) // 2]}"

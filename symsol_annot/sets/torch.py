@@ -8,10 +8,12 @@ for batch in loader:
 
 import os
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.errors import MissingExtraError, SettingsError
 from symsol_annot.sets.dataset import Dataset, Sample, load
 from symsol_annot.sets.epoch_order import shuffled_order
@@ -39,6 +41,7 @@ class SymsolDataset(TorchDataset[Item]):
         index: within the split, int.
         symmetry_mask: (G,) bool over `symmetry_group`, in annotated splits.
         marking_pixels, marking_visible: float and bool, in rendered sets.
+        volume: which of `Labels.volumes` belongs to the set besides, -1 for none; of objects whose sets can have one.
         part_pixels: (P,) float32, in rendered sets but for those of format version 1.
         segmentation: (H, W) uint8: 0 background, 1 body, 2 marking; where asked for.
         depth: (H, W) float32, as `Sample.depth`; where asked for.
@@ -95,6 +98,11 @@ class SymsolDataset(TorchDataset[Item]):
         """The (G, 3, 3) symmetries of the object's body, identity first, of the rotations' type."""
         return torch.tensor(self.samples.symmetry_group, dtype=self._dtype)
 
+    @cached_property
+    def _volumes(self) -> tuple[Volume, ...]:
+        """The volumes that `volume` of an item points into: those of `Dataset.labels()`."""
+        return self.samples.labels().volumes
+
     def __len__(self) -> int:
         return len(self.samples)
 
@@ -120,6 +128,8 @@ class SymsolDataset(TorchDataset[Item]):
         item: Item = {}
         if sample.symmetry_mask is not None:
             item["symmetry_mask"] = torch.from_numpy(sample.symmetry_mask)
+        if self.samples.has_volumes:
+            item["volume"] = -1 if sample.volume is None else self._volumes.index(sample.volume)
         if sample.marking_visible is not None:
             item |= {"marking_pixels": sample.marking_pixels, "marking_visible": sample.marking_visible}
         if sample.part_pixels is not None:

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.errors import DataError, first_of
 from symsol_annot.rendering.renderer import BACKGROUND
 from symsol_annot.rotations.so3 import Rotations
@@ -78,6 +79,7 @@ def _shard_faults(folder: Path, manifest: Manifest, entry: ShardEntry, common: "
             faults += common.faults_of(shard, labels)
             if manifest.is_annotated(entry.split):
                 faults += common.stabiliser_faults(entry.file, shard, labels)
+                faults += common.volume_faults(entry.file, labels)
     except DataError as error:
         faults.append(str(error))
     return faults
@@ -122,6 +124,7 @@ class _Common:
         self._group: Rotations | None = None
         self._versions = ""
         self._stabiliser: tuple[str, Flags] | None = None
+        self._volumes: tuple[str, tuple[Volume, ...]] | None = None
 
     def faults_of(self, shard: Shard, labels: ShardLabels) -> Iterator[str]:
         """Yield in what a shard is not like the first one."""
@@ -131,6 +134,16 @@ class _Common:
             yield "symmetry_group: is not that of the set's first shard"
         if shard.versions_text != self._versions:
             yield f"versions: made with other software than the set's first shard: {shard.versions_text}"
+
+    def volume_faults(self, file: str, labels: ShardLabels) -> Iterator[str]:
+        """Yield whether images of a shard that show nothing have another volume than those of shards before it."""
+        if not labels.volumes:
+            return
+        if self._volumes is None:
+            self._volumes = file, labels.volumes
+        known_from, known = self._volumes
+        if labels.volumes != known:
+            yield f"volumes: the sets of images that show nothing fill another volume than those of {known_from}"
 
     def stabiliser_faults(self, file: str, shard: Shard, labels: ShardLabels) -> Iterator[str]:
         """Yield whether a shard with the common group has another stabiliser than those before it.

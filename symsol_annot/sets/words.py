@@ -5,6 +5,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.volume import Volume
+
 
 class _Sample(Protocol):
     """What is said of a sample."""
@@ -21,6 +23,8 @@ class _Sample(Protocol):
     def marking_visible(self) -> bool | None: ...
     @property
     def symmetry_mask(self) -> npt.NDArray[np.bool_] | None: ...
+    @property
+    def volume(self) -> Volume | None: ...
 
 
 def sample_in_words(sample: _Sample) -> str:
@@ -30,6 +34,8 @@ def sample_in_words(sample: _Sample) -> str:
     maps = [name for name in ("segmentation", "depth") if getattr(sample, name) is not None]
     shown = {True: ["marking visible"], False: ["marking not visible"], None: []}[sample.marking_visible]
     size = "no symmetry set" if mask is None else f"symmetry set of {np.count_nonzero(mask)} of {len(mask)} candidates"
+    if sample.volume is not None:
+        size = f"symmetry set of {sample.volume.measure:.1%} of all rotations"
     return f"<Sample {sample.index}: {', '.join([f'{width}x{height} image', *maps, *shown, size])}>"
 
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from symsol_annot.annotation.symmetry_set import VOLUME_LEVEL, SymmetrySet, circles_of
+from symsol_annot.annotation.symmetry_set import SymmetrySet, circles_of
+from symsol_annot.annotation.volume import CELLS, Volume
 from symsol_annot.errors import RotationError, SettingsError
 from symsol_annot.objects.spec import load_object
-from symsol_annot.rotations.grid import cell_of
 from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 
 GROUPS = {name: load_object(name).symmetry_group for name in ("tet", "icosa", "cyl")}
@@ -183,7 +183,7 @@ def test_a_set_survives_pickling_and_copying():
 
 def test_a_set_says_how_many_rotations_or_cells_it_has():
     assert repr(make_set(share=0.0)) == "<SymmetrySet: 1 rotations>"
-    assert repr(make_set(volume=np.arange(3))) == "<SymmetrySet: 3 cells of rotations>"
+    assert repr(make_set(volume=Volume(np.arange(CELLS) < CELLS / 4))) == "<SymmetrySet: 25.00% of all rotations>"
 
 
 def test_a_misspelt_name_is_an_error():
@@ -194,30 +194,34 @@ def test_a_misspelt_name_is_an_error():
 # With a volume
 
 
-def volume_of_a_cap():
-    fine = np.arange(12 * 4**VOLUME_LEVEL)[:300]  # the first rings: directions within about 9 degrees of z
-    return np.sort((np.arange(6 * 2**VOLUME_LEVEL)[:, None] * 12 * 4**VOLUME_LEVEL + fine).ravel())
+CAP = Volume.of_directions(lambda v: v[:, 0] > 0.8)  # a tenth of all directions
 
 
 def test_with_a_volume_a_set_is_no_array_and_says_what_to_do():
-    found = make_set(volume=volume_of_a_cap())
+    found = make_set(volume=CAP)
     for use in (len, np.asarray, list, lambda S: S @ np.eye(3), lambda S: S[0], lambda S: S.shape, lambda S: S.mean()):
         with pytest.raises(RotationError, match=r"`\.sample\(n, rng\)`"):
             use(found)
     assert len(found.members)
 
 
-def test_a_volume_contains_what_is_drawn_from_it_and_measures_its_share_of_all_rotations():
-    volume = volume_of_a_cap()
-    found = make_set(share=0.0, volume=volume)
-    drawn = found.sample(4000, np.random.default_rng(0))
+def test_a_set_with_a_volume_contains_that_and_its_members():
+    found = make_set(share=0.3, volume=CAP)
+    drawn = found.sample(400, np.random.default_rng(0))
+    assert CAP.contains(drawn).all()
     assert found.contains(drawn).all()
     assert found.distance(drawn).max() == 0
-    assert found.measure == pytest.approx(300 / (12 * 4**VOLUME_LEVEL))
-    everywhere = uniform_rotations(60_000, np.random.default_rng(1))
-    inside = found.contains(everywhere)
-    assert abs(inside.mean() - found.measure) < 5 * np.sqrt(found.measure / len(everywhere))
-    np.testing.assert_array_equal(inside, np.isin(cell_of(everywhere, VOLUME_LEVEL), volume))
-    assert found.contains(found.R_gt[None]).all()
-    heights, expected = np.sort(drawn[:, 2, 2]), np.sort(everywhere[inside][:, 2, 2])
-    assert abs(heights.mean() - expected.mean()) < 5 * heights.std() / np.sqrt(len(expected))
+    assert found.measure == CAP.measure
+    everywhere = uniform_rotations(4000, np.random.default_rng(1))
+    np.testing.assert_array_equal(found.contains(everywhere), CAP.contains(everywhere))
+    assert found.contains(found.members).all()
+
+
+def test_distance_with_a_volume_is_to_what_is_nearer_a_member_or_the_volume():
+    found, isolated = make_set(volume=CAP), make_set()
+    R = uniform_rotations(500, np.random.default_rng(1))
+    to_members, to_volume = isolated.distance(R), CAP.distance(R)
+    assert (to_members < to_volume).any()
+    assert (to_members > to_volume).any()
+    np.testing.assert_array_equal(found.distance(R), np.minimum(to_members, to_volume))
+    np.testing.assert_array_equal(found.distance_to_arcs(R), found.distance(R))

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from asset_geometry import GROUPS, PARTED_GROUPS
+from asset_geometry import BALLS, GROUPS, PARTED_GROUPS
 from symsol_annot_assets import build
 from symsol_annot_assets.meshes import triangulate
 
 from symsol_annot.objects.spec import PUBLISHED_NAMES
 
 ASSETS = Path(build.__file__).parent
-NAMES = {*GROUPS, *PARTED_GROUPS}
+NAMES = {*GROUPS, *PARTED_GROUPS, *BALLS}
 FILES = [f"{name}/{file}" for name in sorted(NAMES) for file in ("object.toml", "mesh.obj")]
 
 

@@ -37,7 +37,7 @@ def test_builtin_objects_are_these():
     assert builtin_names() == BUILTIN
 
 
-@every_builtin
+@pytest.mark.parametrize("name", GROUPS | PARTED_GROUPS)
 def test_a_builtin_object_has_its_bodys_group(name):
     group = load_object(name).symmetry_group
     assert same_set(group, Rotation.create_group((GROUPS | PARTED_GROUPS)[name], axis="Z").as_matrix())

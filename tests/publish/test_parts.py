@@ -1,18 +1,21 @@
 """A set of an object with parts, published: the parts by name, and the rule by which they are compared."""
 
 import json
+import zlib
 from functools import partial
 
 import h5py
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from balls import CAP, CAP_FACES, BallRenderer, ball, ball_toml
 from bundles import assert_all_in_tar_files, assert_all_same
 from made_sets import make_set, threads
 from mesh_renderer import MeshRenderer
 
 import symsol_annot
 from symsol_annot.generation.generate import generate
-from symsol_annot.objects.spec import load_object
+from symsol_annot.objects.spec import load_object, read_object
 from symsol_annot.publish.about import About
 from symsol_annot.publish.publication import publish
 from symsol_annot.publish.sets import sets_in
@@ -99,3 +102,24 @@ def test_torchs_loader_batches_images_of_parts_with_sets_of_any_size(parted, sam
     assert np.array_equal(stacked["part_pixels"], np.stack([sample.part_pixels for sample in samples]))
     assert np.array_equal(stacked["symmetry_mask"], np.stack([sample.symmetry_mask for sample in samples]))
     assert np.array_equal(stacked["image"], np.stack([sample.image.transpose(2, 0, 1) for sample in samples]))
+
+
+def test_a_balls_mirror_tells_which_volume_each_image_has_and_holds_it_once(tmp_path):
+    (tmp_path / "object.toml").write_text(ball_toml(CAP))
+    (tmp_path / "mesh.obj").write_text(ball({"red": CAP_FACES}))
+    plan = SetPlan(read_object(tmp_path), {"test": 6}, 0, Camera.filling(16), RenderSettings(), "test")
+    generate(plan, tmp_path / "data" / "thing", threads(partial(BallRenderer, plan.spec, plan.camera)))
+    make_set(tmp_path / "data", "tetX", test=3, size=16)
+    publish(sets_in(tmp_path / "data"), tmp_path / "bundle", About())
+    (shard,) = (tmp_path / "bundle" / "parquet" / "thing").glob("test-*.parquet")
+    labels = symsol_annot.load(tmp_path / "data" / "thing", "test").labels()
+    assert pq.read_table(shard)["volume"].to_pylist() == labels.volume.tolist()
+    of_sets = pq.read_table(tmp_path / "bundle" / "parquet" / "symmetry_groups.parquet").to_pylist()
+    (bits,), none = ({row["set"]: row["volumes"] for row in of_sets}[name] for name in ("thing", "tetX"))
+    assert none == []
+    np.testing.assert_array_equal(np.unpackbits(np.frombuffer(zlib.decompress(bits), np.uint8)), labels.volumes[0].mask)
+    records = json.loads((tmp_path / "bundle" / "croissant.json").read_text())["recordSet"]
+    fields = {field["name"] for record in records for field in record["field"]}
+    assert {"thing_test/volume", "symmetry_groups/volumes"} <= fields
+    assert "tetX_test/volume" not in fields
+    assert "of all rotations in" in (tmp_path / "bundle" / "README.md").read_text()

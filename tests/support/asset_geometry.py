@@ -5,6 +5,7 @@ from oracle import half_spaces
 
 GROUPS = {"tet": "T", "tetX": "T", "cube": "O", "icosa": "I", "cone": "C360", "cyl": "D360", "cylO": "D360"}
 PARTED_GROUPS = {"mug": "C360", "nut": "D6", "screw": "C360", "dots": "D360", "die": "O", "box": "D4"}
+BALLS = ("sphereX",)  # whose group is SO(3)
 UNMARKED_TWIN = {"tetX": "tet", "cylO": "cyl"}
 every_object = pytest.mark.parametrize("name", GROUPS)
 every_marked_object = pytest.mark.parametrize("name", UNMARKED_TWIN)

@@ -19,7 +19,7 @@ from symsol_annot.bench.scoring.scorers.density import DensityScorer
 from symsol_annot.bench.scoring.scorers.hypotheses import HypothesesScorer
 from symsol_annot.rotations.groups import cyclic_group, dihedral_group, nearest_element, tetrahedral_group
 from symsol_annot.rotations.so3 import uniform_rotations
-from symsol_annot.sets.dataset import Labels
+from symsol_annot.sets.shard.labels import Labels
 
 ANGLE_TOLERANCE, NEAR_PI_TOLERANCE, TOLERANCE = 1e-9, 1e-7, 1e-12
 

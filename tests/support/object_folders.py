@@ -5,7 +5,22 @@ from pathlib import Path
 
 import pytest
 
-BUILTIN = ("box", "cone", "cube", "cyl", "cylO", "die", "dots", "icosa", "mug", "nut", "screw", "tet", "tetX")
+BUILTIN = (
+    "box",
+    "cone",
+    "cube",
+    "cyl",
+    "cylO",
+    "die",
+    "dots",
+    "icosa",
+    "mug",
+    "nut",
+    "screw",
+    "sphereX",
+    "tet",
+    "tetX",
+)
 ASSETS = Path(str(resources.files("symsol_annot_assets")))
 every_builtin = pytest.mark.parametrize("name", BUILTIN)
 TOML = """\

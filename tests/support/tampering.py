@@ -3,6 +3,7 @@
 import hashlib
 import shutil
 import struct
+import zlib
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,17 @@ import numpy as np
 from symsol_annot.sets.manifest import read_manifest, write_manifest
 
 GROUP = "symmetry_group"  # an attribute, and in version 1 of the format a data set
-IN_DIGEST = ("image", "segmentation", "depth", "rotation", "marking_pixels", "part_pixels", "symmetry_mask", GROUP)
+IN_DIGEST = (
+    "image",
+    "segmentation",
+    "depth",
+    "rotation",
+    "marking_pixels",
+    "part_pixels",
+    "symmetry_mask",
+    "volume",
+    GROUP,
+)
 ROW_PER_CHUNK = ("image", "segmentation", "depth")
 _MOST_BYTES = 2**27  # of an array that is read for its digest
 _UNREADABLE = (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError)
@@ -32,6 +43,9 @@ def content_by_h5py(path):
             if GROUP in shard.attrs:
                 group = shard.attrs[GROUP]
                 digest.update(f"{GROUP} {group.dtype.str} {group.shape}\n".encode() + group.tobytes())
+            if "volumes" in shard.attrs:
+                bits = zlib.decompress(shard.attrs["volumes"].tobytes())
+                digest.update(f"volumes |u1 ({len(bits) // 294912}, 294912)\n".encode() + bits)
     except _UNREADABLE:
         return None
     return digest.hexdigest()

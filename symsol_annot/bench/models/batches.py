@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from symsol_annot.bench.models.volumes import ImageVolumes
 from symsol_annot.sets.dataset import Dataset
 from symsol_annot.system.machine import cores
 
@@ -22,12 +23,14 @@ class Batch(NamedTuple):
         R_gt: (B, 3, 3) float32, R_m2c.
         is_rejected: (B, G) bool, which candidates R_gt g are hard negatives; None where nothing asks for them.
         is_member: (B, G) bool, which candidates are in the symmetry set; None where nothing asks for them.
+        volumes: of the symmetry sets; None where nothing asks for them.
     """
 
     images: Tensor
     R_gt: Tensor
     is_rejected: Tensor | None = None
     is_member: Tensor | None = None
+    volumes: ImageVolumes | None = None
 
     def rows(self, chosen: Tensor | slice) -> "Batch":
         """Return some of its images, by their indices (b,)."""
@@ -39,9 +42,9 @@ class Batch(NamedTuple):
 
     def pinned(self) -> "Batch":
         """Return it in memory that a GPU reads by itself."""
-        return self._each(Tensor.pin_memory)
+        return self._each(lambda part: part.pin_memory())
 
-    def _each(self, change: Callable[[Tensor], Tensor]) -> "Batch":
+    def _each(self, change: Callable[[Any], Any]) -> "Batch":
         return Batch(*(None if part is None else change(part) for part in self))  # type: ignore[arg-type]
 
 

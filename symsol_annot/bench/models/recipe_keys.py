@@ -68,6 +68,11 @@ class TrainingKeys:
         """Whether batches have to say which candidates their images rule out."""
         return False
 
+    @property
+    def needs_volumes(self) -> bool:
+        """Whether batches have to have the volumes of their images' sets."""
+        return False
+
     def learning_rate_at(self, epoch: float) -> float:
         """Return Adam's learning rate at an epoch from 0."""
         rate = self.learning_rates[bisect_right(self.milestones, epoch)]

@@ -52,6 +52,10 @@ class Queries:
         cosets = np.concatenate([R_gt[None], decoys])[:, None] @ self.symmetry_group
         return cosets.reshape(-1, 3, 3)[order]
 
+    def decoys(self, image_index: int) -> Rotations:
+        """Return the rotations R'_j g (8, G, 3, 3) among an image's queries."""
+        return self._draw(image_index)[0][:, None] @ self.symmetry_group
+
     def unshuffle(self, image_index: int, probability: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the probabilities (Q,) at an image's queries as (9, G): row 0 at R_gt g, the others at the decoys."""
         _, order = self._draw(image_index)

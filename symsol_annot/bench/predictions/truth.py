@@ -14,14 +14,17 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.bench.predictions.counted import Counted, counted
 from symsol_annot.errors import DataError, first_of
+from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.rotations.nearest import Circles
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sealing.labels import labelled_split
-from symsol_annot.sets.dataset import Dataset, Labels, load
+from symsol_annot.sets.dataset import Dataset, load
 from symsol_annot.sets.folders import set_folders
 from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.sets.sample_set import SAMPLE_OBJECTS, sample_folder
+from symsol_annot.sets.shard.labels import Labels
 from symsol_annot.system.text.names import SPLITS
 
 HARD_NEGATIVE_RAD = float(np.radians(5.0)) + 1e-9  # the slack is for labels, which are float64
@@ -127,10 +130,14 @@ class Truth:
         """The (G, 3, 3) symmetries of the object's body, identity first."""
         return self.labels.symmetry_group
 
-    @property
+    @cached_property
     def set_sizes(self) -> npt.NDArray[np.int64]:
-        """(N,) how many members each image's set has."""
-        return self.labels.set_sizes
+        """(N,) |S|: how many members each image's set has, each rotation of the standard grid in its volume for one."""
+        return self.counted_on(STANDARD_LEVEL).set_sizes
+
+    def counted_on(self, level: int) -> Counted:
+        """Return what the sets consist of where volumes are counted by the rotations of a grid in them."""
+        return counted(self.labels, level)
 
     @property
     def circles(self) -> Circles | None:
@@ -182,6 +189,7 @@ def part_of(truth: Truth, rows: npt.NDArray[np.int64]) -> Truth:
         marking_pixels=labels.marking_pixels[rows],
         marking_visible=labels.marking_visible[rows],
         part_pixels=None if labels.part_pixels is None else labels.part_pixels[rows],
+        volume=None if labels.volume is None else labels.volume[rows],
     )
     return replace(truth, labels=part)
 

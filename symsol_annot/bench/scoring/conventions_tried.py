@@ -128,8 +128,12 @@ class ConventionsTried:
         labels = self.truth.labels
         recall, precision = np.zeros((2, len(images)))
         for n, (i, R) in enumerate(zip(images, rotations, strict=True)):
-            members = labels.members(i)
+            volume, members = labels.volume_of(i), labels.members(i)
+            if volume is not None:
+                members = volume.sample(_MEMBERS, np.random.default_rng(0))
             of_members, of_predictions = nearest_angles_both_ways(members[_evenly(len(members), _MEMBERS)], R)
+            if volume is not None:
+                of_predictions = volume.distance(R)
             recall[n], precision[n] = of_members.mean(), of_predictions.mean()
         return _Errors(float(recall.mean()), float(precision.mean()))
 

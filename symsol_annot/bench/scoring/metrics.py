@@ -78,10 +78,15 @@ def f_measure(true_positives: Counts, false_positives: Counts, set_size: Counts 
 
 
 def classifier_accuracy(
-    true_positives: Counts, false_positives: Counts, set_size: Counts | int, grid_size: int
+    true_positives: Counts, false_positives: Counts, set_size: Counts | int, negatives: Counts | int
 ) -> Ratios:
-    """Return (TP + TN) / (|S| + |G|) (eq. 7.7)."""
-    return (true_positives + grid_size - false_positives) / (set_size + grid_size)
+    """Return (TP + TN) / (|S| + |G|) (eq. 7.7), of |G| what is outside the set's volume."""
+    return (true_positives + negatives - false_positives) / (set_size + negatives)
+
+
+def share_of(count: Counts, of: Counts) -> Ratios:
+    """Return count / of, NaN where that is 0 / 0."""
+    return np.divide(count, of, out=np.full(count.shape, np.nan), where=of > 0)
 
 
 # Densities (the literature of SYMSOL)

@@ -11,6 +11,7 @@ import numpy as np
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.checking.any_part import refuse_parts_that_fix_no_rotation
 from symsol_annot.objects.checking.claims import (
+    certify_ball,
     find_in_shell,
     group_field,
     refuse_balls,
@@ -60,6 +61,8 @@ def check_object(spec: ObjectSpec, *, compares_builtin: bool = False) -> Checked
     """
     _refuse_fine_markings(spec)
     shell = shell_of(spec)
+    if spec.has_all_rotations:
+        return Checked(None if is_builtin(spec) else "SO(3)", certify_ball(spec, shell), ())
     refuse_balls(spec, shell)
     off = 0.0 if breaks_itself(spec) else _farthest_off(spec, shell)
     allowed = max(SURFACE_TOLERANCE, spec.max_offset)

@@ -13,7 +13,9 @@ from symsol_annot.objects.finding.remainders.roundness import off_ball
 from symsol_annot.objects.finding.report import axis_in_words, is_close
 from symsol_annot.objects.finding.surface import Points, Surface
 from symsol_annot.objects.finding.symmetries import find_symmetries
+from symsol_annot.objects.parts import MOST_OFFSET
 from symsol_annot.objects.spec import ObjectSpec
+from symsol_annot.objects.surface import SURFACE_TOLERANCE
 
 _SAME = 1e-3  # Frobenius distance of elements of a declared and of a found group
 _STEP = 0.02  # Frobenius distance, half a step of a circle by degrees and a little more
@@ -28,17 +30,43 @@ def group_field(spec: ObjectSpec) -> str:
 
 
 def refuse_balls(spec: ObjectSpec, shell: Surface) -> None:
-    """Refuse a surface that any rotation leaves as it is.
+    """Refuse a surface that any rotation leaves as it is, where another group is declared.
 
     Raises:
         ObjectError: it is a ball about the origin, as far as anybody sees.
     """
     thickness = off_ball(shell)
-    if thickness <= _NEARLY_BALL:
+    if thickness <= max(_NEARLY_BALL, spec.max_offset):
+        by_offset = f" and max_offset = {1.1 * thickness:.2g}" if thickness > SURFACE_TOLERANCE else ""
         raise ObjectError(
             f"{spec.folder}: {spec.name!r} is a ball within {thickness:.2g} of its radius: any rotation leaves it as "
-            f"it is, which no group that {group_field(spec)} can declare says. Such objects are not rendered yet"
+            f"it is, and symmetry sets by the group that {group_field(spec)} declares would lack nearly all of them. "
+            f'Declare kind = "{ALL_ROTATIONS}"{by_offset} in [symmetry] of an object.toml of format version 2'
         )
+
+
+def certify_ball(spec: ObjectSpec, shell: Surface) -> float:
+    """Return how far the surface of an object that declares SO(3) is from a ball about the origin, in radii.
+
+    No rotation about the origin carries a point of it farther off it.
+
+    Raises:
+        ObjectError: that is farther than `symmetry.max_offset` allows; the message names the group that it has.
+    """
+    thickness = off_ball(shell)
+    allowed = max(SURFACE_TOLERANCE, spec.max_offset)
+    if thickness <= allowed:
+        return thickness
+    try:
+        has = f"The surface has {what_it_has(find_symmetries(shell))}"
+    except ObjectError as error:
+        has = f"What group it has cannot be told: {error}"
+    advice = f", or write `max_offset = {1.1 * thickness:.2g}` to take it for one" * (thickness <= MOST_OFFSET / 1.1)
+    raise ObjectError(
+        f"{spec.folder}: {group_field(spec)} of {spec.name!r} declares all rotations, but its surface is no ball about "
+        f"the origin: it lies between {1.0 - thickness:.4g} and 1 from it (allowed {allowed:g}). {has}. Declare that "
+        f"group{advice}"
+    )
 
 
 def find_in_shell(spec: ObjectSpec, shell: Surface) -> Symmetries:

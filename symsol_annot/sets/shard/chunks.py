@@ -45,6 +45,27 @@ def inflated(chunk: bytes, size: int) -> bytes:
     return _inflated(chunk[:-_CHECKSUM_BYTES], size)
 
 
+def deflated(values: bytes) -> bytes:
+    """Return bytes as a deflate stream of zlib's format, which any zlib inflates."""
+    return bytes(zlib_ng.compress(values, GZIP_LEVEL))
+
+
+def inflated_up_to(data: bytes, most: int) -> bytes:
+    """Return what a deflate stream made by `deflated` holds, which is at most so many bytes.
+
+    Raises:
+        ValueError: it is no such stream, or holds more.
+    """
+    stream = zlib_ng.decompressobj()
+    try:
+        values = stream.decompress(data, most + 1)
+    except _DEFLATE_ERROR as error:
+        raise ValueError(f"cannot be inflated: {error}") from None
+    if not stream.eof or stream.unused_data or len(values) > most:
+        raise ValueError(f"expected a deflate stream of at most {most} bytes, found more, or its end is missing")
+    return bytes(values)
+
+
 def deflate_version() -> str:
     """Return the version of the library that decides the bytes of `stored`."""
     return str(zlib_ng.ZLIBNG_RUNTIME_VERSION)

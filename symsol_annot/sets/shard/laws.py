@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from symsol_annot.errors import first_of
 from symsol_annot.rendering.renderer import BODY, MARKING
-from symsol_annot.rotations.group_laws import check_group, right_products
+from symsol_annot.rotations.group_laws import check_group, faults_of_elements, right_products
 from symsol_annot.rotations.so3 import ORTHONORMAL_TOLERANCE, rotation_deviation
 from symsol_annot.sets.shard.reader import Shard, ShardLabels
 from symsol_annot.sets.stated.equality import Equality
@@ -41,7 +41,10 @@ def label_faults(shard: Shard, labels: ShardLabels) -> Iterator[str]:
             yield f"rotation: {images(no_rotation)}: is no rotation (R^T R = I, det R = 1 to {ORTHONORMAL_TOLERANCE:g})"
     yield from _area_faults(shard, labels, images)
     tolerance = _IMPORTED_PRODUCT_TOLERANCE if shard.is_imported else _PRODUCT_TOLERANCE
-    faults = check_group(labels.symmetry_group, tolerance).faults
+    is_list = shard.equality is not None and shard.equality.has_all_rotations
+    faults = (
+        faults_of_elements(labels.symmetry_group) if is_list else check_group(labels.symmetry_group, tolerance).faults
+    )
     yield from (f"symmetry_group: {fault}" for fault in faults)
     if labels.symmetry_mask is None:
         return
@@ -51,6 +54,8 @@ def label_faults(shard: Shard, labels: ShardLabels) -> Iterator[str]:
     elif not faults:
         if shard.equality is not None:
             yield from _closure_faults(labels, labels.symmetry_mask, shard.equality, tolerance, images)
+            if labels.volume is not None:
+                yield from _volume_faults(labels, labels.volume, shard, images)
         else:
             yield from _mask_faults(labels, labels.symmetry_mask, shard.tolerance_px, tolerance, images)
 
@@ -118,6 +123,29 @@ def _closure_faults(
                 "each part onto itself"
             )
             return
+
+
+def _volume_faults(labels: ShardLabels, volume: npt.NDArray[np.int32], shard: Shard, images: Images) -> Iterator[str]:
+    """Yield why the volumes of sets, whose masks are lawful, are not the rule's: that of images which show nothing."""
+    none_such = (volume < -1) | (volume >= len(labels.volumes))
+    if none_such.any():
+        yield f"volume: {images(none_such)}: is not among the {len(labels.volumes)} volumes, and not -1"
+        return
+    if len(np.unique(volume[volume >= 0])) < len(labels.volumes):
+        yield "volumes: one of them belongs to no image"
+    if labels.marking_pixels is None or shard.equality is None or labels.symmetry_mask is None:
+        return
+    shown = labels.marking_pixels >= shard.tolerance_px  # never where that is NaN
+    if (volume[shown] >= 0).any():
+        yield f"volume: {images(shown & (volume >= 0))}: shows a part that breaks the symmetry, and yet has a volume"
+    if len(np.unique(volume[~shown])) > 1:
+        yield "volume: images that show nothing have different volumes"
+    has_more = ~shown & (labels.symmetry_mask.sum(axis=1) > len(shard.equality.stabiliser))
+    if has_more.any():
+        yield f"symmetry_mask: {images(has_more)}: shows nothing, and has members beside R_gt and its volume"
+    is_bare = math.isnan(shard.tolerance_px)
+    if is_bare and not ((volume >= 0).all() and all(found.measure == 1.0 for found in labels.volumes)):
+        yield "volumes: a ball without parts that break its symmetry has all rotations"
 
 
 def _mask_faults(

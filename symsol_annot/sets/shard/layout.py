@@ -9,6 +9,9 @@ from dataclasses import dataclass
 PARTS = "parts"
 EQUALITY = "equality"  # of objects with parts of any kind; sets of others lack it
 GROUP, GROUP_SHA256 = "symmetry_group", "symmetry_group_sha256"  # an attribute has no checksum of its own
+SYMMETRY_MASK = "symmetry_mask"
+VOLUME = "volume"  # of balls alone, in annotated splits: the data set, and the attributes that it points into
+VOLUMES, VOLUMES_SHA256 = "volumes", "volumes_sha256"
 _COMMON_ATTRIBUTES = {
     "format": "text",
     "format_version": "whole",
@@ -116,7 +119,8 @@ class ShardLayout:
 
     def optional_attributes(self, kind: ShardKind) -> dict[str, str]:
         """Return the attributes that a shard may have beside `attribute_kinds`, to their kinds."""
-        return {EQUALITY: "text"} if self.has_parts and kind.mark in _WITH_MAPS else {}
+        of_volumes = {VOLUMES: "array", VOLUMES_SHA256: "text"}
+        return {EQUALITY: "text", **of_volumes} if self.has_parts and kind.mark in _WITH_MAPS else {}
 
     def columns_of(self, kind: ShardKind) -> tuple[Column, ...]:
         """Return the data sets that a shard has or, where they are optional, may have."""
@@ -129,7 +133,8 @@ _DEPTH = Column("depth", "<f4", ("images", "height", "width"), is_picture=True, 
 _ROTATION = Column("rotation", "<f8", ("images", 3, 3))
 _MARKING_PIXELS = Column("marking_pixels", "<f4", ("images",), kinds=_WITH_MAPS)
 _PART_PIXELS = Column("part_pixels", "<f4", ("images", "parts"), kinds=_WITH_MAPS)
-_SYMMETRY_MASK = Column("symmetry_mask", "|b1", ("images", "symmetries"), is_optional=True)
+_SYMMETRY_MASK = Column(SYMMETRY_MASK, "|b1", ("images", "symmetries"), is_optional=True)
+_VOLUME = Column(VOLUME, "<i4", ("images",), is_optional=True, kinds=_WITH_MAPS)
 _GROUP = Column(GROUP, "<f8", ("symmetries", 3, 3), kinds=_ALL)
 
 LAYOUTS = {
@@ -142,7 +147,7 @@ LAYOUTS = {
     ),
     2: ShardLayout(
         2,
-        (_IMAGE, _SEGMENTATION, _DEPTH, _ROTATION, _MARKING_PIXELS, _PART_PIXELS, _SYMMETRY_MASK),
+        (_IMAGE, _SEGMENTATION, _DEPTH, _ROTATION, _MARKING_PIXELS, _PART_PIXELS, _SYMMETRY_MASK, _VOLUME),
         {**_COMMON_ATTRIBUTES, GROUP: "array", GROUP_SHA256: "text"},
         (RENDERED, FROM_SECRET, IMPORTED, SEALED),
         has_parts=True,

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.errors import DamageError, DataError, bulleted
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import SAMPLES_PER_AXIS
@@ -33,10 +34,15 @@ from symsol_annot.sets.shard.layout import (
     IMPORTED,
     LAYOUTS,
     PARTS,
+    SYMMETRY_MASK,
+    VOLUME,
+    VOLUMES,
+    VOLUMES_SHA256,
     ShardKind,
     ShardLayout,
 )
 from symsol_annot.sets.shard.structure import parts_stated, shown, structure_of
+from symsol_annot.sets.shard.volumes import BYTES_PER_VOLUME, volumes_of, volumes_stated
 from symsol_annot.sets.stated.equality import Equality, equality_stated
 from symsol_annot.system.sandbox.hdf5_process import Description, Hdf5Process, Limits
 
@@ -53,6 +59,8 @@ class ShardLabels:
         marking_pixels: (N,) f4, the marking's visible area in pixels; None in an imported or a sealed shard.
         part_pixels: (N, P) f4, the visible area of each part in pixels; None in these, and in version 1.
         symmetry_mask: (N, G) bool, which of the symmetries are in each image's set; None without symmetry sets.
+        volume: (N,) i4, which of `volumes` belongs to each image's set, -1 for none; None where sets have none.
+        volumes: the volumes that sets of the shard have.
     """
 
     rotation: Rotations | None
@@ -60,6 +68,8 @@ class ShardLabels:
     marking_pixels: npt.NDArray[np.float32] | None
     part_pixels: npt.NDArray[np.float32] | None
     symmetry_mask: npt.NDArray[np.bool_] | None
+    volume: npt.NDArray[np.int32] | None = None
+    volumes: tuple[Volume, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +110,7 @@ class Shard:
     @property
     def is_annotated(self) -> bool:
         """Whether its images have symmetry sets."""
-        return "symmetry_mask" in self.arrays
+        return SYMMETRY_MASK in self.arrays
 
     @property
     def first_index(self) -> int:
@@ -165,11 +175,19 @@ class Shard:
         Raises:
             DataError: one is damaged.
         """
-        rotation, pixels, part_pixels, mask = (
+        rotation, pixels, part_pixels, mask, volume = (
             self.read(name) if name in self.arrays else None
-            for name in ("rotation", "marking_pixels", "part_pixels", "symmetry_mask")
+            for name in ("rotation", "marking_pixels", "part_pixels", SYMMETRY_MASK, VOLUME)
         )
-        return ShardLabels(rotation, self._group(), pixels, part_pixels, mask)
+        volumes = () if volume is None else volumes_of(self.volume_bits.tobytes())
+        return ShardLabels(rotation, self._group(), pixels, part_pixels, mask, volume, volumes)
+
+    @property
+    def volume_bits(self) -> npt.NDArray[np.uint8]:
+        """The (V, 294912) u8 masks of the volumes that its sets have, 8 cells per byte; none in most shards."""
+        if VOLUMES not in self.array_attributes:
+            return np.zeros((0, BYTES_PER_VOLUME), np.uint8)
+        return volumes_stated(self.array_attributes[VOLUMES], self.attributes[VOLUMES_SHA256])
 
     def _group(self) -> Rotations:
         if self.layout.has_group_attribute:
@@ -237,7 +255,9 @@ def content_sha256(shard: Shard) -> str:
             digest.update(content_heading(column.name, array.dtype, array.shape))
             for values in shard.rows(column.name) if column.is_picture else [shard.read(column.name)]:
                 digest.update(values.tobytes())
-    for name, values in shard.array_attributes.items():
+    of_attributes = [(GROUP, shard.array_attributes[GROUP])] if shard.layout.has_group_attribute else []
+    of_attributes += [(VOLUMES, shard.volume_bits)] if VOLUMES in shard.array_attributes else []
+    for name, values in of_attributes:
         digest.update(content_heading(name, values.dtype.str, values.shape) + values.tobytes())
     return digest.hexdigest()
 

@@ -25,10 +25,15 @@ from symsol_annot.sets.shard.layout import (
     PARTS,
     RENDERED,
     SEALED,
+    SYMMETRY_MASK,
+    VOLUME,
+    VOLUMES,
+    VOLUMES_SHA256,
     Column,
     ShardKind,
     ShardLayout,
 )
+from symsol_annot.sets.shard.volumes import volumes_stated
 from symsol_annot.sets.stated.equality import equality_stated
 from symsol_annot.system.sandbox.hdf5_process import DatasetFacts, Description
 
@@ -56,6 +61,9 @@ def structure_of(described: Description, file_bytes: int) -> tuple[list[str], di
     kind = layout.kind_of(described.attributes.keys() | described.odd_attributes.keys())
     faults = _attribute_faults(described, layout, kind)
     faults += _name_faults(described.datasets, layout, kind)
+    if faults:
+        return faults, {}
+    faults = _volume_faults(described)
     if faults:
         return faults, {}
     arrays = {}
@@ -118,7 +126,11 @@ def _attribute_faults(described: Description, layout: ShardLayout, kind: ShardKi
     ]
     known = {*expected, *optional}
     faults += [f"attribute {shown(name)} is not part of {whose}" for name in (*found, *odd) if name not in known]
-    faults += [f"attribute {name!r} is {odd[name]}, where a string belongs" for name in optional if name in odd]
+    faults += [
+        f"attribute {name!r} is {odd[name]}, where {_IN_WORDS[value]} belongs"
+        for name, value in optional.items()
+        if name in odd
+    ]
     if faults:
         return faults
     if PARTS in expected:
@@ -150,6 +162,28 @@ def _group_faults(group: npt.NDArray[Any], sha256: str) -> list[str]:
         return [f"attribute {GROUP!r}: expected 1 to {MAX_SYMMETRIES} symmetries, found {len(group)}"]
     if hashlib.sha256(group.tobytes()).hexdigest() != sha256:
         return [f"attribute {GROUP!r}: is damaged: it does not have the digest in {GROUP_SHA256!r}"]
+    return []
+
+
+def _volume_faults(described: Description) -> list[str]:
+    """Say where volumes are stated of sets that can have none, or not of those that can, or are damaged."""
+    attributes, arrays, names = described.attributes, described.arrays, described.datasets
+    text = attributes.get(EQUALITY)
+    is_ball = text is not None and equality_stated(text).has_all_rotations
+    expected = is_ball and SYMMETRY_MASK in names
+    there = {VOLUME: VOLUME in names, VOLUMES: VOLUMES in arrays, VOLUMES_SHA256: VOLUMES_SHA256 in attributes}
+    whose = "an annotated split of a ball" if expected else "a set without volumes"
+    faults = [
+        f"{name!r} is {'missing' if expected else 'there'}, in {whose}"
+        for name, is_there in there.items()
+        if is_there != expected
+    ]
+    if faults or not expected:
+        return faults
+    try:
+        volumes_stated(arrays[VOLUMES], attributes[VOLUMES_SHA256])
+    except ValueError as error:
+        return [f"attribute {VOLUMES!r}: {error}"]
     return []
 
 

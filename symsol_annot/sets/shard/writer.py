@@ -13,11 +13,13 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.rendering.renderer import View
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.shard.chunks import GZIP_LEVEL, deflate_version, inflated, stored
 from symsol_annot.sets.shard.header import ShardHeader, content_heading
-from symsol_annot.sets.shard.layout import GROUP, GROUP_SHA256
+from symsol_annot.sets.shard.layout import GROUP, GROUP_SHA256, SYMMETRY_MASK, VOLUME, VOLUMES, VOLUMES_SHA256
+from symsol_annot.sets.shard.volumes import attributes_of, bits_of
 from symsol_annot.sets.stated.settings import RenderedSettings, SealedSettings
 from symsol_annot.system.closing import Closing
 
@@ -33,12 +35,14 @@ class ImageRecord:
         R_m2c: (3, 3) the rotation it was drawn at.
         coset_px: the marking's area in pixels, as `Annotator.coset_px` gives it; its key is marking_pixels.
         symmetry_mask: (G,) bool, or None in a split without annotation.
+        volume: the part of SO(3) that its set fills; None where it fills none.
     """
 
     view: View
     R_m2c: Rotations
     coset_px: float
     symmetry_mask: npt.NDArray[np.bool_] | None
+    volume: Volume | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,11 @@ class ShardWriter(Closing):
             self._labels["marking_pixels"] = np.zeros(count, dtype="f4")
             self._labels["part_pixels"] = np.zeros((count, len(settings.parts)), dtype="f4")
         if annotated:
-            self._labels["symmetry_mask"] = np.zeros((count, len(symmetry_group)), dtype=bool)
+            self._labels[SYMMETRY_MASK] = np.zeros((count, len(symmetry_group)), dtype=bool)
+            equality = settings.equality if isinstance(settings, RenderedSettings) else None
+            if equality is not None and equality.has_all_rotations:
+                self._labels[VOLUME] = np.full(count, -1, dtype="<i4")
+        self._volumes: list[Volume] = []  # each once, in the order of the images that first have it
         self._content = hashlib.sha256(_heading(self._image))
         self._stored: dict[str, list[bytes]] = {name: [] for name in self._maps}  # until their turn in the digest
 
@@ -88,13 +96,17 @@ class ShardWriter(Closing):
             self._stored[name].append(_store(dataset, row, values[None]))
         self._labels["marking_pixels"][row] = record.coset_px
         self._labels["part_pixels"][row] = view.part_pixels
+        if record.volume is not None:
+            if record.volume not in self._volumes:
+                self._volumes.append(record.volume)
+            self._labels[VOLUME][row] = self._volumes.index(record.volume)
 
     def add_imported(self, rgb: npt.NDArray[np.uint8], R: Rotations, mask: npt.NDArray[np.bool_] | None) -> None:
         """Append one image (H, W, 3) of which nothing is known but its rotation (3, 3) and its set (G,), if that."""
         row = self._written
         self._labels["rotation"][row] = R
         if mask is not None:
-            self._labels["symmetry_mask"][row] = mask
+            self._labels[SYMMETRY_MASK][row] = mask
         self.add_sealed(rgb)
 
     def add_sealed(self, rgb: npt.NDArray[np.uint8]) -> None:
@@ -117,6 +129,10 @@ class ShardWriter(Closing):
             _store(dataset, 0, values)
             self._content.update(_heading(dataset) + values.tobytes())
         self._content.update(content_heading(GROUP, self._group.dtype.str, self._group.shape) + self._group.tobytes())
+        if VOLUME in self._labels:
+            bits = bits_of(self._volumes)
+            self._file.attrs[VOLUMES], self._file.attrs[VOLUMES_SHA256] = attributes_of(bits)
+            self._content.update(content_heading(VOLUMES, bits.dtype.str, bits.shape) + bits.tobytes())
         self._file.flush()
         return ShardFile(self._file.id.get_file_image(), self._content.hexdigest())
 

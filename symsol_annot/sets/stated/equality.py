@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.objects.finding.found import ALL_ROTATIONS
 from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
 from symsol_annot.objects.mesh import BODY_ID
 from symsol_annot.objects.parts import MAX_PARTS, Colour
@@ -16,6 +17,7 @@ from symsol_annot.system.text.names import is_object_name
 
 _MOST_NAMES = 4  # that are listed
 _KEYS = ("parts", "colours", "breaking", "stabiliser")
+_ROTATIONS = "rotations"  # stated of balls alone
 
 
 @dataclass(frozen=True)
@@ -27,12 +29,15 @@ class Equality:
         colours: linear RGB of each.
         breaking: the ids of those that break the body's symmetry, ascending.
         stabiliser: indices of the rotations of the symmetry group that map each part onto itself, ascending.
+        has_all_rotations: whether the body is a ball, so that sets can fill a volume, and `symmetry_group` is a list of
+            candidates and no group.
     """
 
     parts: tuple[str, ...]
     colours: tuple[Colour, ...]
     breaking: tuple[int, ...]
     stabiliser: tuple[int, ...]
+    has_all_rotations: bool = False
 
     @classmethod
     def for_object(cls, spec: ObjectSpec) -> "Equality | None":
@@ -41,11 +46,12 @@ class Equality:
             return None
         stabiliser = sorted(nearest_element(spec.symmetry_group, spec.stabiliser).tolist())
         names, colours = tuple(part.name for part in spec.parts), tuple(part.colour for part in spec.parts)
-        return cls(names, colours, spec.mesh.breaking, tuple(stabiliser))
+        return cls(names, colours, spec.mesh.breaking, tuple(stabiliser), spec.has_all_rotations)
 
     def to_json(self) -> dict[str, Any]:
         """Return it as it stands in manifest.json and in the attributes of a shard."""
-        return {key: [list(v) if isinstance(v, tuple) else v for v in getattr(self, key)] for key in _KEYS}
+        stated = {key: [list(v) if isinstance(v, tuple) else v for v in getattr(self, key)] for key in _KEYS}
+        return {**stated, **({_ROTATIONS: ALL_ROTATIONS} if self.has_all_rotations else {})}
 
     def to_text(self) -> str:
         """Return it as the attribute of a shard."""
@@ -58,8 +64,12 @@ def equality_from_json(stated: Any) -> Equality:
     Raises:
         ValueError: it is none.
     """
-    if type(stated) is not dict or set(stated) != set(_KEYS) or not all(type(stated[key]) is list for key in _KEYS):
+    has_all = type(stated) is dict and _ROTATIONS in stated
+    keys = {*_KEYS, _ROTATIONS} if has_all else set(_KEYS)
+    if type(stated) is not dict or set(stated) != keys or not all(type(stated[key]) is list for key in _KEYS):
         raise ValueError(f"equality: expected the lists {', '.join(_KEYS)}")
+    if has_all and stated[_ROTATIONS] != ALL_ROTATIONS:
+        raise ValueError(f"equality: {_ROTATIONS}: expected {ALL_ROTATIONS!r}")
     names, colours, breaking, stabiliser = (stated[key] for key in _KEYS)
     are_names = all(is_object_name(name) for name in names) and len(set(names)) == len(names)
     if not are_names or not 1 <= len(names) <= MAX_PARTS:
@@ -70,7 +80,8 @@ def equality_from_json(stated: Any) -> Equality:
         raise ValueError("equality: expected ascending ids of parts, and ascending indices of symmetries")
     if stabiliser[:1] != [0]:
         raise ValueError("equality: the stabiliser lacks the identity, whose index is 0")
-    return Equality(tuple(names), tuple((r, g, b) for r, g, b in colours), tuple(breaking), tuple(stabiliser))
+    of_parts = tuple((r, g, b) for r, g, b in colours)
+    return Equality(tuple(names), of_parts, tuple(breaking), tuple(stabiliser), has_all)
 
 
 def equality_stated(text: str) -> Equality:

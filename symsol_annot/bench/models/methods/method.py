@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from symsol_annot.bench.models.networks.reference_model import ReferenceModel
     from symsol_annot.bench.models.validation import Figures
     from symsol_annot.rotations.so3 import Rotations
-    from symsol_annot.sets.dataset import Dataset, Labels
+    from symsol_annot.sets.dataset import Dataset
+    from symsol_annot.sets.shard.labels import Labels
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from symsol_annot.bench.models.retrieval.view_density import (
 )
 from symsol_annot.bench.models.retrieval.view_index import NearViews
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.dataset import Labels
+from symsol_annot.sets.shard.labels import Labels
 
 _ANGLES_RAD = np.radians(0.5 * 1.2 ** np.arange(24))  # 0.5 to 33 degrees
 _UNIFORM = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)

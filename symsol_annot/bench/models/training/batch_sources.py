@@ -18,6 +18,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 from symsol_annot.bench.models.batches import Batch, reduced
 from symsol_annot.bench.models.devices import free_bytes
 from symsol_annot.bench.models.training.split_reader import SplitReader
+from symsol_annot.bench.models.volumes import ImageVolumes
 from symsol_annot.bench.predictions.truth import HARD_NEGATIVE_RAD
 from symsol_annot.sets.dataset import Dataset, Sample
 from symsol_annot.sets.epoch_order import shuffled_order
@@ -69,10 +70,11 @@ class InMemory:
 
 
 class _Labels(NamedTuple):
-    """What is known of all images' candidates, as in a batch: (N, G) each, or None."""
+    """What is known of all images, as in a batch: which candidates (N, G) are what, and volumes; each or None."""
 
     is_rejected: Tensor | None = None
     is_member: Tensor | None = None
+    volumes: ImageVolumes | None = None
 
 
 _NO_LABELS = _Labels()
@@ -110,8 +112,8 @@ class Streamed:
             multiprocessing_context="spawn",  # a fork may inherit locks that torch's threads hold
         )
         for rows, images, R_gt in loader:
-            known = (None if part is None else part[rows] for part in self._labels)
-            yield Batch(images, R_gt, *known).to(self._device)
+            known = {name: part[rows] for name, part in self._labels._asdict().items() if part is not None}
+            yield Batch(images, R_gt, **known).to(self._device)
 
     def batches_per_epoch(self) -> int:
         """Return how many batches an epoch has: whole ones of each worker's part."""
@@ -128,6 +130,7 @@ def open_batches(
     reader: SplitReader = _AS_THEY_ARE,
     with_rejected: bool = False,
     with_members: bool = False,
+    with_volumes: bool = False,
 ) -> BatchSource:
     """Return a split's batches from the nearest memory that holds its images; else from worker processes.
 
@@ -139,21 +142,23 @@ def open_batches(
         reader: reads the images.
         with_rejected: whether batches say which candidates are rejected, `is_rejected`.
         with_members: whether batches say which candidates are in the symmetry set, `is_member`.
+        with_volumes: whether batches have the volumes of their symmetry sets.
 
     Raises:
-        NotAnnotatedError: rejected candidates, or members, of a split without symmetry sets.
+        NotAnnotatedError: rejected candidates, members, or volumes, of a split without symmetry sets.
         DataError: a shard is damaged.
     """
     is_rejected = _rejected(dataset) if with_rejected else None
     is_member = torch.from_numpy(dataset.labels().symmetry_mask) if with_members else None
+    volumes = ImageVolumes.of(dataset.labels()) if with_volumes else None
     needed = len(dataset) * (reader.input_size**2 or math.prod(dataset.image_size)) * 3
     is_free = needed <= _HOST_SHARE * free_bytes(torch.device("cpu"))
     if not is_free:
-        labels = _Labels(is_rejected, is_member)
+        labels = _Labels(is_rejected, is_member, volumes)
         workers = reader.workers or min(cores(), _MAX_WORKERS)
         return Streamed(dataset, batch_size, seed, device, workers, reader.input_size, labels)
     fits_device = device.type == "cpu" or needed <= _DEVICE_SHARE * free_bytes(device)
-    images = reader.read(dataset)._replace(is_rejected=is_rejected, is_member=is_member)
+    images = reader.read(dataset)._replace(is_rejected=is_rejected, is_member=is_member, volumes=volumes)
     return InMemory(images, batch_size, seed, device, on_device=fits_device)
 
 

@@ -33,7 +33,8 @@ from symsol_annot.bench.models.training.record import MAX_SEED, EpochFigures, Tr
 from symsol_annot.bench.models.training.refusals import refuse_images, refuse_other
 from symsol_annot.bench.models.training.split_reader import SplitReader
 from symsol_annot.errors import SettingsError, TrainingError
-from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.sets.dataset import Dataset
+from symsol_annot.sets.shard.labels import Labels
 from symsol_annot.system.cache import Cache
 from symsol_annot.system.locks import held_folder
 from symsol_annot.system.text.names import METHOD_NAME_RULE, is_method_name
@@ -173,6 +174,7 @@ class TrainingLoop:
             reader=reader,
             with_rejected=recipe.needs_rejected_candidates,
             with_members=recipe.needs_members,
+            with_volumes=recipe.needs_volumes,
         )
         self._validation_images = _validation_images(dataset[learnt:], reader) if recipe.validation_images else None
 

@@ -53,6 +53,12 @@ def refuse_images(recipe: Recipe, dataset: Dataset, device: torch.device) -> Non
             f"{dataset.folder}: the train split was rendered without symmetry sets, and the recipe learns from their "
             "members. `symsol-annot render --annotate all` gives every split its sets"
         )
+    if recipe.needs_volumes:
+        raise NotAnnotatedError(
+            f"{dataset.folder}: the train split was rendered without symmetry sets, and the recipe's negatives_outside "
+            "leaves out what falls into their volumes. `symsol-annot render --annotate all` gives every split its "
+            "sets; negatives_weight needs none"
+        )
     if recipe.needs_rejected_candidates:
         raise NotAnnotatedError(
             f"{dataset.folder}: the train split was rendered without symmetry sets, and the recipe's hard_negatives "

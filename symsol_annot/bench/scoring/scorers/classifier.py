@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.bench.predictions.advice.normalisation_tried import NormalisationTried
+from symsol_annot.bench.predictions.counted import grid_distances, grid_inside
 from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
 from symsol_annot.bench.predictions.queries import Queries
 from symsol_annot.bench.predictions.tracks.classifier import CLASSIFIER, ClassifierBlock, ClassifierReader
@@ -18,7 +20,6 @@ from symsol_annot.bench.scoring import metrics
 from symsol_annot.bench.scoring.averages import Figure
 from symsol_annot.bench.scoring.metric import HIGHER, LOWER, NEITHER, Metric, Place, Values
 from symsol_annot.bench.scoring.scorers.scorer import ASKED_OTHERWISE, GridScorer, TrackScoring
-from symsol_annot.rotations.grid import grid_size
 
 SWEPT_THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 EXACT_F = 0.999  # the members and next to nothing beside them: no function of R that is continuous ends so sharply
@@ -37,18 +38,19 @@ class MeasuredClassifier:
     Attributes:
         thresholds: (T,) the swept ones that are not below the file's floor.
         set_size: (b,) |S|.
-        grid_size: |G|, how many rotations the grid has.
-        true_positives: (b, T) members of the set that are claimed.
-        false_positives: (b, T) grid rotations that are claimed.
+        negatives: (b,) how many rotations the grid has outside the set's volume: |G| of a set without.
+        true_positives: (b, T) members of the set that are claimed, and grid rotations inside its volume.
+        false_positives: (b, T) other grid rotations that are claimed.
         far_positives: (b,) those beyond half a degree of the set, at the standard threshold.
-        decoy_rate: (b,) the share of decoys that are claimed, at the standard threshold.
+        decoy_rate: (b,) the share of decoys that are claimed, at the standard threshold, of those outside the set's
+            volume; NaN where there are none.
         hard_negative_rate: (b,) the share of the body's other candidates that are claimed, at the standard threshold;
             NaN where there are none that are far enough from the set.
     """
 
     thresholds: npt.NDArray[np.float64]
     set_size: metrics.Counts
-    grid_size: int
+    negatives: metrics.Counts
     true_positives: metrics.Counts
     false_positives: metrics.Counts
     far_positives: metrics.Counts
@@ -141,7 +143,7 @@ METRICS: tuple[Metric[MeasuredClassifier], ...] = (
         "accuracy",
         HIGHER,
         Place.TABLES,
-        lambda of: metrics.classifier_accuracy(of.claimed_members, of.claimed_of_grid, of.set_size, of.grid_size),
+        lambda of: metrics.classifier_accuracy(of.claimed_members, of.claimed_of_grid, of.set_size, of.negatives),
         "accuracy",
         "7.7",
         row=5,
@@ -167,7 +169,7 @@ METRICS: tuple[Metric[MeasuredClassifier], ...] = (
         "grid_positive_rate",
         NEITHER,
         Place.TABLES,
-        lambda of: of.claimed_of_grid / of.grid_size,
+        lambda of: metrics.share_of(of.claimed_of_grid, of.negatives),
         "grid positive rate",
         row=8,
     ),
@@ -193,6 +195,7 @@ class ClassifierScorer(GridScorer):
         super().__init__(truth, reader.grid_level)
         self._thresholds = np.array([t for t in SWEPT_THRESHOLDS if t >= reader.floor])
         self._queries = Queries(truth.fingerprint, truth.labels.symmetry_group)
+        self._counted = truth.counted_on(self._level)
         self._rejected = truth.labels.rejected_beyond(HARD_NEGATIVE_RAD)
         self._normalisation = NormalisationTried(self._level)
         self.facts = {"floor": reader.floor, "threshold": STANDARD_THRESHOLD, "grid_level": self._level}
@@ -204,19 +207,23 @@ class ClassifierScorer(GridScorer):
         far_positives = np.zeros(images, dtype=np.int64)
         decoy_rate, hard_negative_rate = np.zeros((2, images))
         for row, i in enumerate(block.image_index.tolist()):
-            is_member = self._truth.labels.symmetry_set(i).is_member
             asked = self._queries.unshuffle(i, block.query_probability[row])
             self._normalisation.add(asked)
             indices, probability = block.on_grid.row(row)
-            true_positives[row] = _count_above(asked[0][is_member], self._thresholds)
+            true_positives[row] = _count_above(asked[0][self._counted.is_counted[i]], self._thresholds)
+            volume = self._truth.labels.volume_of(i)
+            if volume is not None:
+                is_inside = np.isin(indices, grid_inside(volume, self._level), assume_unique=True)
+                true_positives[row] += _count_above(probability[is_inside], self._thresholds)
+                indices, probability = indices[~is_inside], probability[~is_inside]
             false_positives[row] = _count_above(probability, self._thresholds)
             far_positives[row] = self._count_far(i, indices[probability > STANDARD_THRESHOLD])
-            decoy_rate[row] = (asked[1:] > STANDARD_THRESHOLD).mean()
+            decoy_rate[row] = _share(self._decoys(i, volume, asked[1:]) > STANDARD_THRESHOLD)
             hard_negative_rate[row] = _share(asked[0][self._rejected[i]] > STANDARD_THRESHOLD)
         return MeasuredClassifier(
             self._thresholds,
-            self._truth.set_sizes[block.image_index],
-            grid_size(self._level),
+            self._counted.set_sizes[block.image_index],
+            self._counted.negatives[block.image_index],
             true_positives,
             false_positives,
             far_positives,
@@ -224,8 +231,17 @@ class ClassifierScorer(GridScorer):
             hard_negative_rate,
         )
 
+    def _decoys(self, i: int, volume: Volume | None, probability: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the probabilities (d,) of the decoys that are outside of the set, given those of all (8, G)."""
+        if volume is None:
+            return probability.ravel()
+        return probability.ravel()[~volume.contains(self._queries.decoys(i).reshape(-1, 3, 3))]
+
     def _count_far(self, i: int, claimed: Indices) -> int:
         """Return how many of the claimed grid rotations are beyond half a degree of the symmetry set."""
+        volume = self._truth.labels.volume_of(i)
+        if volume is not None:
+            claimed = claimed[grid_distances(volume, self._level)[claimed] > NEAR_SET_RAD]
         if not len(claimed):
             return 0
         near = self._grid.within(self._truth.labels.members(i), NEAR_SET_RAD)
@@ -233,8 +249,8 @@ class ClassifierScorer(GridScorer):
 
     def chance_and_best(self, over_all: Mapping[str, Figure]) -> tuple[float, float]:  # noqa: ARG002 - as others need it
         """Return the F-measure of claiming everything, the most that chance gives, and that of the members alone."""
-        sizes = self._truth.set_sizes
-        everything = metrics.f_measure(sizes, np.full(len(sizes), grid_size(self._level)), sizes)
+        sizes = self._counted.set_sizes
+        everything = metrics.f_measure(sizes, self._counted.negatives, sizes)
         return float(everything.mean()), 1.0
 
     def tried(self) -> dict[str, Any]:
@@ -249,7 +265,7 @@ class ClassifierScorer(GridScorer):
     def warnings(self, over_all: Mapping[str, Figure]) -> tuple[str, ...]:
         """Return why the result does not rank: it says yes to what it is asked, or is on another grid."""
         decoys, grid = (over_all[name].value for name in ("decoy_false_positive_rate", "grid_positive_rate"))
-        if decoys <= _DECOY_FACTOR * grid + _DECOY_SLACK:
+        if not decoys > _DECOY_FACTOR * grid + _DECOY_SLACK:  # NaN where all of SO(3) is in the sets
             return super().warnings(over_all)
         warning = (
             f"it claims {decoys:.2%} of the decoys, random rotations that it was asked about, but {grid:.3%} of the "

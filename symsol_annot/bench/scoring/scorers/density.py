@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.bench.predictions.counted import grid_distances, grid_inside
 from symsol_annot.bench.predictions.tracks.density import DENSITY, DENSITY_FLOOR, DensityBlock, DensityReader
 from symsol_annot.bench.predictions.truth import Truth
 from symsol_annot.bench.scoring import metrics
 from symsol_annot.bench.scoring.averages import Figure
 from symsol_annot.bench.scoring.metric import HIGHER, LOWER, NEITHER, Metric, Place, Values
 from symsol_annot.bench.scoring.scorers.scorer import ASKED_OTHERWISE, GridScorer, TrackScoring
+from symsol_annot.rotations.nearest import nearest_angles
+from symsol_annot.rotations.so3 import Angles
 
 REGIONS = (50, 80, 90, 95, 99)  # masses, in percent, of the smallest regions in which members are counted
 SHOWN_REGION = 90
@@ -104,6 +107,7 @@ class DensityScorer(GridScorer):
 
     def __init__(self, reader: DensityReader, truth: Truth) -> None:
         super().__init__(truth, reader.grid_level)
+        self._counted = truth.counted_on(self._level)
         floor = reader.density_floor
         self.facts = {"grid_level": self._level, **({} if floor is None else {DENSITY_FLOOR: floor})}
 
@@ -119,15 +123,14 @@ class DensityScorer(GridScorer):
         self, i: int, indices: npt.NDArray[np.int64], stored: npt.NDArray[Any]
     ) -> tuple[tuple[float, ...], Values]:
         """Return what is measured of one image, in the order of `MeasuredDensity`, and what its regions hold."""
-        size, symmetry_set = len(self._grid), self._truth.labels.symmetry_set(i)
-        members = symmetry_set.members
+        size = len(self._grid)
         log_probability = stored.astype(np.float64)
         listed = np.exp(log_probability)
         rest = (1.0 - listed.sum()) / (size - len(listed)) if len(listed) < size else 1.0
-        angles_rad = symmetry_set.distance(self._grid.rotations)
-        cells, cell_of_gt = self._grid.nearest(members), self._grid.nearest(self._truth.labels.rotation[i][None])
+        angles_rad, cells = self._set_on_grid(i)
+        cell_of_gt = self._grid.nearest(self._truth.labels.rotation[i][None])
         best_cells, shares = np.unique(cells, return_counts=True)
-        best = shares / len(members)
+        best = shares / len(cells)
         at_members, at_gt = (_looked_up(indices, log_probability, at, np.log(rest)) for at in (cells, cell_of_gt))
         best_at_members, best_at_gt = (_looked_up(best_cells, np.log(best), at, 0.0) for at in (cells, cell_of_gt))
         figures = (
@@ -137,6 +140,20 @@ class DensityScorer(GridScorer):
         )
         of_members = _looked_up(indices, listed, cells, -1.0)
         return figures, metrics.share_in_regions(of_members, listed, size, np.array(REGIONS) / 100.0)
+
+    def _set_on_grid(self, i: int) -> tuple[Angles, npt.NDArray[np.int64]]:
+        """Return the angles from the grid (N,) to an image's set, and the cells (|S|,) of what the set consists of."""
+        labels, is_counted = self._truth.labels, self._counted.is_counted[i]
+        volume = labels.volume_of(i)
+        if volume is None:
+            symmetry_set = labels.symmetry_set(i)
+            return symmetry_set.distance(self._grid.rotations), self._grid.nearest(symmetry_set.members)
+        angles_rad, inside = grid_distances(volume, self._level), grid_inside(volume, self._level)
+        if not is_counted.any():
+            return angles_rad, inside
+        members = labels.candidates(i)[is_counted]
+        to_members = nearest_angles(self._grid.rotations, members)
+        return np.minimum(angles_rad, to_members), np.concatenate([self._grid.nearest(members), inside])
 
     def chance_and_best(self, over_all: Mapping[str, Figure]) -> tuple[float, float]:
         """Return the log-likelihood of the uniform density, and that of the best density on this grid."""

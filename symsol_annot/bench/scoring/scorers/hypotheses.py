@@ -1,9 +1,9 @@
 """How hypotheses are scored: recall, precision, coverage and accuracy (section 5.2)."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +16,13 @@ from symsol_annot.bench.predictions.truth import Truth
 from symsol_annot.bench.scoring import metrics
 from symsol_annot.bench.scoring.averages import Figure
 from symsol_annot.bench.scoring.metric import HIGHER, LOWER, Metric, Place, Values
+from symsol_annot.bench.scoring.scorers.around_hypotheses import distances_in_volume, share_of_ball
 from symsol_annot.bench.scoring.scorers.scorer import Scorer, TrackScoring
+from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, uniform_rotations
+
+Weights: TypeAlias = npt.NDArray[np.float64]
+EachWeights: TypeAlias = Sequence[Weights | None]
 
 ANGLES_DEG = (1, 2, 5, 10, 15, 30)
 RANKED_ANGLE_DEG = 5
@@ -29,6 +34,21 @@ EXACT_RAD = 1e-3  # 0.06 degrees, a fifteenth of the thesis's best; no method re
 _RANKED_RAD = float(np.radians(RANKED_ANGLE_DEG)) + SLACK_RAD
 _CHANCE_IMAGES, _CHANCE_HYPOTHESES = 64, 256  # are drawn at the most, to tell what chance gives
 _PAIRS_AT_ONCE = 2**20
+
+
+class Errors(NamedTuple):
+    """How far an image's set and the hypotheses about it are from each other.
+
+    Attributes:
+        of_set: (k,) angles in rad from members, or from points that stand for a volume, to the nearest hypothesis.
+        of_hypotheses: (M,) angles in rad from the hypotheses to the set.
+        measures: (k,) what each of `of_set` counts: a member 1, a volume as many as the grid has rotations in its share
+            of SO(3); None of a set without volume, in which all count 1.
+    """
+
+    of_set: Angles
+    of_hypotheses: Angles
+    measures: Weights | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,6 +171,7 @@ class HypothesesScorer(Scorer):
 
     def __init__(self, reader: HypothesesReader, truth: Truth) -> None:
         super().__init__(truth)
+        self._counted = truth.counted_on(STANDARD_LEVEL)
         self._thresholds_rad = np.radians(ANGLES_DEG) + SLACK_RAD
         self.facts = {"M": reader.count}
 
@@ -161,17 +182,17 @@ class HypothesesScorer(Scorer):
         else:
             found = [h[w > 0] for h, w in zip(block.hypotheses, block.weights, strict=True)]
             weights = [w[w > 0] for w in block.weights]
-            pairs = zip(block.image_index, found, strict=True)
-            errors = [metrics.recall_and_precision_errors(self._truth.labels.members(int(i)), h) for i, h in pairs]
+            errors = [self._of_image(int(i), h) for i, h in zip(block.image_index, found, strict=True)]
         self._try_conventions(block.image_index, found)
-        of_members, of_hypotheses = ([pair[side] for pair in errors] for side in (0, 1))
+        of_set, of_hypotheses = [e.of_set for e in errors], [e.of_hypotheses for e in errors]
+        measures = [e.measures for e in errors]
         return MeasuredHypotheses(
-            recall_error=_means(of_members),
+            recall_error=_means(of_set, measures),
             precision_error=_means(of_hypotheses, weights),
             arc_error=self._arc_errors(block.image_index, found, of_hypotheses, weights),
-            coverage=self._shares(of_members, None),
+            coverage=self._shares(of_set, measures),
             accuracy=self._shares(of_hypotheses, weights),
-            unweighted_accuracy=None if weights is None else self._shares(of_hypotheses, None),
+            unweighted_accuracy=None if weights is None else self._shares(of_hypotheses),
         )
 
     def _try_conventions(self, image_index: Indices, hypotheses: list[Rotations]) -> None:
@@ -179,34 +200,52 @@ class HypothesesScorer(Scorer):
             if self._conventions.wants(int(i)):
                 self._conventions.add(int(i), of_image)
 
-    def errors(self, image_index: Indices, hypotheses: Rotations) -> list[tuple[Angles, Angles]]:
+    def errors(self, image_index: Indices, hypotheses: Rotations) -> list[Errors]:
         """Return both kinds of errors of each image; images with sets of one size go together, which is faster.
 
         Args:
             image_index: (b,) which images.
             hypotheses: (b, M, 3, 3) R_m2c.
-
-        Returns:
-            For each image (k,) angles in rad of the members of its set, and (M,) of the hypotheses.
         """
-        errors: list[tuple[Angles, Angles]] = [(np.zeros(0), np.zeros(0))] * len(image_index)
-        sizes = self._truth.set_sizes[image_index]
+        errors = [Errors(np.zeros(0), np.zeros(0))] * len(image_index)
+        labels = self._truth.labels
+        sizes = labels.set_sizes[image_index]
         for size in np.unique(sizes):
             (alike,) = np.nonzero(sizes == size)
             step = max(1, _PAIRS_AT_ONCE // (int(size) * hypotheses.shape[1]))
             for rows in (alike[start : start + step] for start in range(0, len(alike), step)):
-                sets = np.stack([self._truth.labels.members(i) for i in image_index[rows]])
+                sets = np.stack([labels.members(i) for i in image_index[rows]])
                 both = metrics.recall_and_precision_errors(sets, hypotheses[rows])
-                for row, *error in zip(rows, *both, strict=True):
-                    errors[row] = (error[0], error[1])
+                for row, of_members, of_hypotheses in zip(rows, *both, strict=True):
+                    found = Errors(of_members, of_hypotheses)
+                    errors[row] = self._with_volume(int(image_index[row]), hypotheses[row], found)
         return errors
+
+    def _of_image(self, i: int, hypotheses: Rotations) -> Errors:
+        """Return both kinds of errors of one image, given hypotheses (M, 3, 3)."""
+        both = metrics.recall_and_precision_errors(self._truth.labels.members(i), hypotheses)
+        return self._with_volume(i, hypotheses, Errors(*both))
+
+    def _with_volume(self, i: int, hypotheses: Rotations, to_members: Errors) -> Errors:
+        """Return the errors of an image, given those with its members alone: they stay of a set without volume."""
+        labels = self._truth.labels
+        volume = labels.volume_of(i)
+        if volume is None:
+            return to_members
+        counted = to_members.of_set[self._counted.is_counted[i][labels.symmetry_mask[i]]]
+        of_volume, shares = distances_in_volume(volume, hypotheses, self._thresholds_rad)
+        return Errors(
+            np.concatenate([counted, of_volume]),
+            np.minimum(to_members.of_hypotheses, volume.distance(hypotheses)),
+            np.concatenate([np.ones(len(counted)), self._counted.grid_size * shares]),
+        )
 
     def _arc_errors(
         self,
         image_index: Indices,
         hypotheses: list[Rotations],
         errors: list[Angles],
-        weights: list[npt.NDArray[np.float64]] | None,
+        weights: list[Weights] | None,
     ) -> Values | None:
         if self._truth.circles is None:
             return None
@@ -214,7 +253,7 @@ class HypothesesScorer(Scorer):
         to_arcs = [self._truth.labels.symmetry_set(int(i)).distance_to_arcs(h, error) for i, h, error in images]
         return _means(to_arcs, weights)
 
-    def _shares(self, errors: list[Angles], weights: list[npt.NDArray[np.float64]] | None) -> Values:
+    def _shares(self, errors: list[Angles], weights: EachWeights | None = None) -> Values:
         each = [None] * len(errors) if weights is None else weights
         shares = [metrics.share_within(e, self._thresholds_rad, w) for e, w in zip(errors, each, strict=True)]
         return np.reshape(shares, (len(errors), len(ANGLES_DEG))).astype(np.float64)
@@ -227,11 +266,14 @@ class HypothesesScorer(Scorer):
         """Return the mean F-measure, were all hypotheses right and each near as many members as one can be.
 
         A rotation within T of several has them within 2 T of each other. Members so close lie on one circle, of which
-        the elements within 2 T of the identity are both sides: half of them, rounded up, fit.
+        the elements within 2 T of the identity are both sides: half of them, rounded up, fit. Of a volume it has at
+        most what is within T of it.
         """
         sizes, group = self._truth.set_sizes, self._truth.symmetry_group
         near = np.count_nonzero(angle_between(group[0], group) <= 2.0 * _RANKED_RAD)
-        coverage = np.minimum(1.0, self.facts["M"] * ((near + 1) // 2) / sizes)
+        ball = self._counted.grid_size * share_of_ball(np.array(_RANKED_RAD))
+        most = (near + 1) // 2 + np.where(self._counted.inside_count > 0, ball, 0.0)
+        coverage = np.minimum(1.0, self.facts["M"] * most / sizes)
         return float(metrics.harmonic_mean(coverage, np.ones(len(sizes))).mean())
 
     def _chance(self) -> float:
@@ -240,15 +282,17 @@ class HypothesesScorer(Scorer):
         images = np.linspace(0, len(self._truth) - 1, min(len(self._truth), _CHANCE_IMAGES)).astype(np.int64)
         drawn = uniform_rotations(len(images) * count, np.random.default_rng(0)).reshape(-1, count, 3, 3)
         thresholds = np.array([_RANKED_RAD])
-        found = [[metrics.share_within(e, thresholds) for e in pair] for pair in self.errors(images, drawn)]
-        return float(np.mean([metrics.harmonic_mean(*pair) for pair in found]))
+        errors = self.errors(images, drawn)
+        coverage = np.array([metrics.share_within(e.of_set, thresholds, e.measures) for e in errors])
+        accuracy = np.array([metrics.share_within(e.of_hypotheses, thresholds) for e in errors])
+        return float(np.mean(metrics.harmonic_mean(coverage, accuracy)))
 
     def notes(self) -> tuple[str, ...]:
         """Return what its author should know: that another convention fits far better."""
         return self._conventions.notes("write {code} in place of the rotations R")
 
 
-def _means(errors: list[Angles], weights: list[npt.NDArray[np.float64]] | None = None) -> Values:
+def _means(errors: list[Angles], weights: EachWeights | None = None) -> Values:
     """Return the mean of each image's errors, (b,)."""
     each = [None] * len(errors) if weights is None else weights
     return np.array([metrics.mean_error(e, w) for e, w in zip(errors, each, strict=True)], dtype=np.float64)

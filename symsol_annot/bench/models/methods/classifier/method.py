@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
@@ -22,15 +22,18 @@ from symsol_annot.bench.models.networks.answers import embeddings_of, logits_at
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.validation import Figures, classifier_figures
+from symsol_annot.bench.predictions.counted import counted, grid_inside
 from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
 from symsol_annot.bench.predictions.writing.submission import write_classifier
-from symsol_annot.rotations.grid import equivolumetric_grid, grid_index, grid_size
+from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_index, grid_size
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.sets.dataset import Dataset
+from symsol_annot.sets.shard.labels import Labels
 
 _EVALUATED_AT_ONCE = 64  # images
 _CLAIM_LOGIT = float(np.log(STANDARD_THRESHOLD / (1.0 - STANDARD_THRESHOLD)))
 _SHIFTS = np.linspace(-8.0, 8.0, 65)
+_NOWHERE = np.zeros(0, dtype=np.int64)
 _SHARES_AT_ONCE = 2**15  # rotations
 _NEAR_RAD, _NEAR_CIRCLE_RAD, _FAR_SAMPLE = np.radians(15.0), np.radians(6.0), 8192
 
@@ -43,7 +46,12 @@ class ClassifierLearner:
         self._symmetry_group = torch.tensor(symmetry_group, dtype=torch.float32, device=model.device)
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
-        """Return the losses (B,) of eq. 6.15, K new rotations per image; of several members it takes the mean."""
+        """Return the losses (B,) of eq. 6.15, K new rotations per image; of several members it takes the mean.
+
+        A set with volume h has K h of the K inside it. They weigh 0 where the recipe says `negatives_outside`. With
+        `negatives_weight` w in place of K the loss is least at f = p / (p + w), with p the density of right rotations,
+        1 / h inside the volume and 0 outside: as h is 1 at most, f is at least 1 / (1 + w) inside.
+        """
         with backbone_precision(batch.images, self.recipe.precision):
             embeddings = self.model.first_stage(batch.images)
         right = self._right(batch, rng)
@@ -70,6 +78,7 @@ class ClassifierLearner:
         if recipe.near_negatives:
             group, near = self._symmetry_group, recipe.near_negatives
             negatives, weights = near_negatives(batch.R_gt, group, negatives, near, rng)
+        weights = self._weights_of_volumes(batch, negatives, weights)
         if batch.is_rejected is None:
             return negatives, weights
         rejected = hard_negatives(batch.R_gt, batch.is_rejected, self._symmetry_group, recipe.hard_negatives, rng)
@@ -80,6 +89,16 @@ class ClassifierLearner:
         elif weights is not None:
             weights = torch.cat([weights, weights.new_ones((images, recipe.hard_negatives))], dim=1)
         return torch.cat([negatives, rejected], dim=1), weights
+
+    def _weights_of_volumes(self, batch: Batch, negatives: Tensor, weights: Tensor | None) -> Tensor | None:
+        """Return what negatives (B, k, 3, 3) weigh with `negatives_weight` and `negatives_outside`, given (B, k)."""
+        recipe = self.recipe
+        if not recipe.negatives_weight and batch.volumes is None:
+            return weights
+        found = negatives.new_ones(negatives.shape[:2]) if weights is None else weights
+        if recipe.negatives_weight:
+            found = found * (recipe.negatives_weight / negatives.shape[1])
+        return found if batch.volumes is None else found * ~batch.volumes.contain(negatives)
 
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
         """Return the means of recall, precision and F-measure at 0.8 (section 7.2) over images (N, H, W, 3), uint8.
@@ -104,13 +123,19 @@ class ClassifierLearner:
         radius = _NEAR_RAD if labels.circles is None else _NEAR_CIRCLE_RAD
         sample = np.random.default_rng(0).choice(len(grid), _FAR_SAMPLE, replace=False)
         shares = self.model.shares(torch.from_numpy(grid.rotations[sample]).float().to(device))
+        of_sets = counted(labels, STANDARD_LEVEL)
         for i, embedding in enumerate(embeddings_of(self.model, images, _EVALUATED_AT_ONCE)):
-            near = grid.within(labels.candidates(i), radius)
-            is_far = torch.from_numpy(~np.isin(sample, near)).to(device)
-            asked = (torch.from_numpy(R).float().to(device) for R in (labels.members(i), grid.rotations[near]))
+            volume, members = labels.volume_of(i), labels.members(i)
+            members = members[of_sets.is_counted[i][labels.symmetry_mask[i]]]
+            inside = _NOWHERE if volume is None else grid_inside(volume, STANDARD_LEVEL)
+            near = np.setdiff1d(grid.within(labels.candidates(i), radius), inside, assume_unique=True)
+            is_far = torch.from_numpy(~np.isin(sample, near) & ~np.isin(sample, inside)).to(device)
+            asked = (torch.from_numpy(R).float().to(device) for R in (members, grid.rotations[near]))
             at_members, on_near = (logits_at(self.model, embedding, self.model.shares(R)) for R in asked)
-            on_far = logits_at(self.model, embedding, shares)[is_far]
-            yield _ValidationLogits(at_members, on_near, on_far, (len(grid) - len(near)) / max(1, len(on_far)))
+            on_sample = logits_at(self.model, embedding, shares)
+            on_far, on_inside = on_sample[is_far], on_sample[torch.from_numpy(np.isin(sample, inside)).to(device)]
+            far_weight = (len(grid) - len(near) - len(inside)) / max(1, len(on_far))
+            yield _ValidationLogits(at_members, on_near, on_far, far_weight, on_inside, len(inside))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,17 +145,23 @@ class _ValidationLogits:
     Attributes:
         members, near, far: (k,) each.
         far_weight: how many rotations of the grid each of the sample stands for.
+        inside: (k,) of those of the sample that are inside the volume of the image's set.
+        inside_count: how many rotations of the grid are.
     """
 
     members: Tensor
     near: Tensor
     far: Tensor
     far_weight: float
+    inside: Tensor = field(default_factory=lambda: torch.zeros(0))
+    inside_count: int = 0
 
     def counts(self, shift: float) -> tuple[int, int, int]:
-        """Return true positives, false positives on the whole grid, and members, with something added to the logits."""
-        true, near, far = (int((part + shift > _CLAIM_LOGIT).sum()) for part in (self.members, self.near, self.far))
-        return true, near + round(far * self.far_weight), len(self.members)
+        """Return true positives, false positives on the whole grid, and |S|, with something added to the logits."""
+        parts = (self.members, self.near, self.far, self.inside)
+        true, near, far, inside = (int((part + shift > _CLAIM_LOGIT).sum()) for part in parts)
+        true += round(inside * self.inside_count / max(1, len(self.inside)))
+        return true, near + round(far * self.far_weight), len(self.members) + self.inside_count
 
 
 class ClassifierMethod:

@@ -28,6 +28,9 @@ class ClassifierRecipe(TrainingKeys):
         hard_weight: what all hard negatives weigh together; 0 lets each weigh as much as another negative.
         fitted_shift: whether a number is added to the logits with which the validation images have the highest F.
         bias_from_negatives: whether the logit begins at -ln K, which is right of uniform rotations, in place of 0.
+        negatives_outside: whether negatives inside the volume of an image's set weigh nothing, as train is annotated.
+        negatives_weight: what all negatives but the hard ones weigh together; 0 lets each weigh 1, as in the thesis.
+            At 0.25 or less, whatever is in a set is above the threshold in the limit, however large its volume is.
         backbone: of the first stage, by its name.
     """
 
@@ -41,6 +44,8 @@ class ClassifierRecipe(TrainingKeys):
     hard_weight: float = field(default=0.0, metadata={LEFT_OUT: True})
     fitted_shift: bool = field(default=False, metadata={LEFT_OUT: True})
     bias_from_negatives: bool = field(default=False, metadata={LEFT_OUT: True})
+    negatives_outside: bool = field(default=False, metadata={LEFT_OUT: True})
+    negatives_weight: float = field(default=0.0, metadata={LEFT_OUT: True})
     backbone: Annotated[str, OneOf(BACKBONES)] = backbone_key(RESNET18)
 
     @property
@@ -52,6 +57,11 @@ class ClassifierRecipe(TrainingKeys):
     def needs_rejected_candidates(self) -> bool:
         """Whether batches have to say which candidates their images rule out."""
         return self.hard_negatives > 0
+
+    @property
+    def needs_volumes(self) -> bool:
+        """Whether batches have to have the volumes of their images' sets."""
+        return self.negatives_outside
 
     def is_frozen_at(self, epoch: float) -> bool:
         """Tell whether the first stage stays as it began."""
@@ -73,6 +83,7 @@ class ClassifierRecipe(TrainingKeys):
             members=(1, _MAX_MEMBERS),
             near_negatives=(0, self.negatives - self.hard_negatives),
             hard_weight=(0.0, 1e6),
+            negatives_weight=(0.0, 1e6),
         )
         if self.fitted_shift and not self.validation_images:
             yield "fitted_shift: is fitted on validation images, and validation_images is 0"

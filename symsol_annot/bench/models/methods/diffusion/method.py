@@ -33,7 +33,8 @@ from symsol_annot.bench.models.networks.score_network import ScoreNetwork
 from symsol_annot.bench.models.validation import Figures, hypothesis_figures
 from symsol_annot.bench.predictions.writing.submission import write_density, write_hypotheses
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.sets.dataset import Dataset
+from symsol_annot.sets.shard.labels import Labels
 
 HYPOTHESES = 30
 _EVALUATED, _CALIBRATED = 128, 256  # images

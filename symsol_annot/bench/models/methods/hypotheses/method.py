@@ -20,7 +20,8 @@ from symsol_annot.bench.models.networks.hypothesis_network import HypothesisNetw
 from symsol_annot.bench.models.validation import Figures, hypothesis_figures
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.sets.dataset import Dataset
+from symsol_annot.sets.shard.labels import Labels
 
 _EVALUATED_AT_ONCE, _PREDICTED_AT_ONCE = 64, 64  # images
 _BLOCK = 512  # images decoded at once

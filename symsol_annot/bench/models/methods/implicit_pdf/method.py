@@ -23,7 +23,8 @@ from symsol_annot.bench.models.validation import Figures
 from symsol_annot.bench.predictions.writing.submission import write_density
 from symsol_annot.rotations.grid import equivolumetric_grid
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.dataset import Dataset, Labels
+from symsol_annot.sets.dataset import Dataset
+from symsol_annot.sets.shard.labels import Labels
 
 _EVALUATED, _EVALUATION_LEVEL = 128, 3  # images, level of the grid: of a softmax that R_gt is added to
 _EMBEDDED_AT_ONCE = 64  # images

@@ -14,7 +14,7 @@ from symsol_annot.bench.models.methods.mixture.claims import Calibration, Floats
 from symsol_annot.bench.models.methods.mixture.image_density import ImageDensity
 from symsol_annot.bench.models.methods.mixture.recipe import MARKED_CIRCLE
 from symsol_annot.rotations.grid import STANDARD_LEVEL
-from symsol_annot.sets.dataset import Labels
+from symsol_annot.sets.shard.labels import Labels
 
 PRECISIONS = (0.35, 0.5, 0.71, 1.0, 1.41, 2.0, 2.8, 4.0, 5.7)
 _THRESHOLDS = (0.06, 0.12, 0.18, 0.25, 0.35, 0.5, 0.71, 0.84, 1.0, 1.19, 1.41, 2.0, 2.8, 4.0, 5.7, 8.0)

@@ -19,7 +19,7 @@ from symsol_annot.bench.models.networks.answers import embeddings_of
 from symsol_annot.bench.models.networks.mixture_network import MixtureNetwork, Told
 from symsol_annot.bench.models.validation import Figures
 from symsol_annot.rotations.so3 import Rotations
-from symsol_annot.sets.dataset import Labels
+from symsol_annot.sets.shard.labels import Labels
 
 _VIEWS_PER_IMAGE = 32  # candidates of an image that hides the marking, from which its views are learnt
 _AT_ONCE, _EVALUATED = 256, 256  # images

@@ -1,0 +1,1 @@
+"""Symmetry sets of balls, which can fill a part of SO(3)."""

@@ -1,0 +1,252 @@
+"""A certificate that sphereX's symmetry sets lack no rotation; exits 1 where it finds one that draws an image.
+
+python tools/prove_spherex.py data/sphereX [--minutes 60] --rows rows.jsonl [--json FILE]
+
+Branch and bound over SO(3). A cube of rotation vectors around v, of the half-diagonal r, holds rotations that are at
+most r from R = exp(v). A point p of the ball that shows the label l in the image lies at R^T p in the model; where the
+model's nearest point of that label is farther than r from there, no rotation of the cube draws the image, and the cube
+is done with. Cubes that are left are cut into eight, down to a half-diagonal of --leaf degrees. What is left then is
+held against the set of the image: a cube farther from it than two half-diagonals is drawn at its middle, and counted.
+
+Labels are those of the ball that the mesh stands for, at the lattice's points, of which a few hundred are asked first
+and all around the parts last. Of images that show something, the hardest --hard (the least samples of a part that
+shows) are taken first, then others in their order.
+"""
+
+import argparse
+import json
+import sys
+import time
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+from symsol_annot_assets.ball import DISC_RADIUS_RAD, X_HALF_WIDTH, X_REACH, disc_axis, is_in_x
+
+from symsol_annot import load
+from symsol_annot.rotations.so3 import quat_wxyz_to_rotation
+
+BODY, X, DISC = 1, 2, 3
+CUBE_MAP = 768  # texels along a side of the map of distances
+TEXEL_RAD = 1.5 / CUBE_MAP  # that a point is from its texel's middle, at most, and a little more
+OUTLINE_STEP_RAD = 2e-4
+WITNESSES, AT_A_TIME, CUBES_AT_ONCE, MOST_CUBES = 120, 10, 4096, 300_000
+CORNERS = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], float)
+
+
+def main():
+    """Search image by image, and print and keep the counts."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="a set of sphereX")
+    parser.add_argument("--split", default="test")
+    parser.add_argument("--images", type=int, default=200)
+    parser.add_argument("--hard", type=int, default=20)
+    parser.add_argument("--leaf", type=float, default=0.6, help="degrees")
+    parser.add_argument("--minutes", type=float, help="stop after so long; the same command goes on")
+    parser.add_argument("--rows", type=Path, required=True, help="one line of JSON per image; none is done again")
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+    end = time.monotonic() + 60 * (arguments.minutes or float("inf"))
+    dataset = load(arguments.folder, arguments.split)
+    done = {row["image"]: row for row in rows_of(arguments.rows)}
+    chosen = hardest_and_first(dataset, arguments.hard, arguments.images)
+    for kind, index in chosen:
+        if index not in done and time.monotonic() < end:
+            done[index] = row = {"kind": kind, **search(dataset, index, np.radians(arguments.leaf))}
+            with arguments.rows.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            print(row, flush=True)
+    found = summary([done[index] for _, index in chosen if index in done], arguments.leaf)
+    print(json.dumps(found, indent=1))
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found, indent=1) + "\n")
+    sys.exit(1 if found["other_rotations_that_draw_the_image"] else 0)
+
+
+def rows_of(path):
+    """Return what is known already."""
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def hardest_and_first(dataset, hard, count):
+    """Return kinds and indices of images that show something: those with the least of a part, then the others."""
+    parts_px = dataset.labels().part_pixels[:, 1:]
+    least = np.where(parts_px > 0, parts_px, np.inf).min(axis=1)
+    order = np.argsort(least, kind="stable")[:hard].tolist()
+    shown = [index for index in np.flatnonzero(parts_px.max(axis=1) > 0).tolist() if index not in order]
+    return [("hard", index) for index in order] + [("other", index) for index in shown[: max(0, count - len(order))]]
+
+
+def label_of(points):
+    """Return the label of points (..., 3) of the unit sphere, in the model's frame."""
+    flat = points.reshape(-1, 3)
+    labels = np.where(flat @ disc_axis() >= np.cos(DISC_RADIUS_RAD), DISC, np.where(is_in_x(flat), X, BODY))
+    return labels.reshape(points.shape[:-1])
+
+
+def outlines():
+    """Return points along the outlines of X and disc, OUTLINE_STEP_RAD apart or less: two arrays (n, 3)."""
+    along = np.arange(X_HALF_WIDTH, X_REACH, OUTLINE_STEP_RAD / 2)
+    across = np.arange(-X_HALF_WIDTH, X_HALF_WIDTH, OUTLINE_STEP_RAD / 2)
+    arm = [(along, np.full_like(along, s * X_HALF_WIDTH)) for s in (-1, 1)] + [(np.full_like(across, X_REACH), across)]
+    x, y = (np.concatenate(values) for values in zip(*arm, strict=True))
+    around = [(x, y), (-y, x), (-x, -y), (y, -x)]
+    flat = np.concatenate([np.column_stack(pair) for pair in around])
+    of_x = np.column_stack([flat, np.sqrt(1.0 - (flat**2).sum(axis=1))])
+    axis = disc_axis()
+    aside = np.cross(axis, [0.0, 0.0, 1.0])
+    aside /= np.linalg.norm(aside)
+    turn = np.arange(0.0, 2.0 * np.pi, OUTLINE_STEP_RAD / np.sin(DISC_RADIUS_RAD))[:, None]
+    ways = np.cos(turn) * aside + np.sin(turn) * np.cross(axis, aside)
+    return of_x, np.cos(DISC_RADIUS_RAD) * axis + np.sin(DISC_RADIUS_RAD) * ways
+
+
+@cache
+def distances():
+    """Return lower bounds in rad of the distance from each texel to each label: (3 texels,) f4, BODY's first."""
+    middle = (np.arange(CUBE_MAP) + 0.5) / CUBE_MAP * 2 - 1
+    u, v = np.meshgrid(middle, middle)
+    faces = []
+    for side in range(6):
+        point = np.empty((CUBE_MAP, CUBE_MAP, 3))
+        axis = side // 2
+        point[..., axis], point[..., (axis + 1) % 3], point[..., (axis + 2) % 3] = 1 - 2 * (side % 2), u, v
+        faces.append(point / np.linalg.norm(point, axis=-1, keepdims=True))
+    points = np.stack(faces).reshape(-1, 3)
+    labels, of_x, of_disc = label_of(points), *outlines()
+    to_x, to_disc = (2 * np.arcsin(cKDTree(outline).query(points)[0] / 2) for outline in (of_x, of_disc))
+    found = [
+        np.where(labels == BODY, 0.0, np.where(labels == X, to_x, to_disc)),
+        np.where(labels == X, 0.0, to_x),
+        np.where(labels == DISC, 0.0, to_disc),
+    ]
+    return np.maximum(np.stack(found) - OUTLINE_STEP_RAD, 0.0).astype(np.float32).ravel()
+
+
+def texels(points):
+    """Return the texel of points (..., 3)."""
+    size = np.abs(points)
+    axis = size.argmax(axis=-1)[..., None]
+    most = np.take_along_axis(points, axis, axis=-1)
+    u, v = (np.take_along_axis(points, (axis + k) % 3, axis=-1) / np.abs(most) for k in (1, 2))
+    column, row = (np.clip(((w + 1) / 2 * CUBE_MAP).astype(np.int32), 0, CUBE_MAP - 1)[..., 0] for w in (u, v))
+    return ((2 * axis + (most < 0))[..., 0] * CUBE_MAP + row) * CUBE_MAP + column
+
+
+@cache
+def points_of(camera, samples):
+    """Return the points (n, 3) of the unit sphere, in camera coordinates, that the lattice's rays meet."""
+    lattice = camera.lattice(samples)
+    u, v = np.meshgrid(np.arange(lattice.width) + 0.5, np.arange(lattice.height) + 0.5)
+    slopes = np.stack([u - lattice.width / 2, v - lattice.height / 2], axis=-1).reshape(-1, 2) / lattice.focal_px
+    rays = np.column_stack([slopes, np.ones(len(slopes))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    along = camera.distance * rays[:, 2]
+    inside = along**2 - camera.distance**2 + 1.0
+    rays, depth = rays[inside >= 0], (along - np.sqrt(np.maximum(inside, 0.0)))[inside >= 0]
+    return depth[:, None] * rays - [0.0, 0.0, camera.distance]
+
+
+def witnesses(points, labels, R):
+    """Return the numbers of points to be asked first, and of all around the parts, which are asked last."""
+    rng = np.random.default_rng(0)
+    marks, body = np.flatnonzero(labels != BODY), np.flatnonzero(labels == BODY)
+    field = distances().reshape(3, -1)[1:, texels(points[body] @ R)].min(axis=0)
+    near = body[np.argsort(field, kind="stable")[: max(200, 3 * len(marks))]]
+    few = [(marks, WITNESSES // 2), (near, WITNESSES // 4), (body, WITNESSES // 4)]
+    return np.concatenate([rng.permutation(some)[:count] for some, count in few]), np.concatenate(
+        [rng.permutation(marks)[:600], rng.permutation(near)[:600]]
+    )
+
+
+def search(dataset, index, leaf_rad):
+    """Return what is found of one image."""
+    start, settings = time.monotonic(), dataset.manifest.rendered
+    sample = dataset[index]
+    R_gt, points = sample.rotation, points_of(settings.camera, settings.render.samples_per_axis)
+    labels = label_of(points @ R_gt)
+    first, last = witnesses(points, labels, R_gt)
+    half = np.pi / 4
+    middle = (np.arange(4) + 0.5) * 2 * half - np.pi
+    cubes, nodes = np.stack(np.meshgrid(middle, middle, middle), axis=-1).reshape(-1, 3), 0
+    while True:
+        radius = np.sqrt(3.0) * half
+        cubes = cubes[np.linalg.norm(cubes, axis=1) - radius <= np.pi]
+        nodes += len(cubes)
+        parts = [cubes[at : at + CUBES_AT_ONCE] for at in range(0, len(cubes), CUBES_AT_ONCE)]
+        cubes = np.concatenate([left_of(part, points, labels, first, last, radius) for part in parts])
+        if radius <= leaf_rad or not len(cubes) or len(cubes) > MOST_CUBES:
+            break
+        half /= 2
+        cubes = (cubes[:, None] + half * CORNERS).reshape(-1, 3)
+    R = rotations_of(cubes)
+    off = sample.symmetry_set.distance_to_arcs(R) if len(R) else np.zeros(0)
+    beyond = off > 2 * radius
+    same = sum(bool((label_of(points @ other) == labels).all()) for other in R[beyond][:2000])
+    return {
+        "image": index,
+        "x_px": float(sample.part_pixels[1]),
+        "disc_px": float(sample.part_pixels[2]),
+        "members": len(sample.symmetry_set.members),
+        "nodes": nodes,
+        "cubes_left": len(cubes),
+        "half_diagonal_deg": round(float(np.degrees(radius)), 3),
+        "farthest_from_the_set_deg": round(float(np.degrees(off.max(initial=0.0))), 2),
+        "cubes_beyond_two_half_diagonals": int(beyond.sum()),
+        "of_these_drawn_the_same": same,
+        "seconds": round(time.monotonic() - start, 1),
+    }
+
+
+def left_of(cubes, points, labels, first, last, radius):
+    """Return the cubes (n, 3) in which a rotation may draw the image."""
+    R, alive = rotations_of(cubes), np.arange(len(cubes))
+    field, texels_of_label = distances(), 6 * CUBE_MAP**2
+    for numbers, step, at_once in ((first, AT_A_TIME, CUBES_AT_ONCE), (last, 200, 256)):
+        for at in range(0, len(numbers), step):
+            some = numbers[at : at + step]
+            base = (labels[some] - 1) * texels_of_label
+            kept = []
+            for begin in range(0, len(alive), at_once):
+                these = alive[begin : begin + at_once]
+                turned = np.einsum("kij,pi->kpj", R[these], points[some])
+                kept.append(these[(field[base + texels(turned)] <= radius + TEXEL_RAD).all(axis=1)])
+            alive = np.concatenate(kept) if kept else alive
+            if not len(alive):
+                return cubes[:0]
+    return cubes[alive]
+
+
+def rotations_of(vectors):
+    """Return exp of rotation vectors (n, 3): (n, 3, 3)."""
+    angle = np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    return quat_wxyz_to_rotation(np.concatenate([np.cos(angle / 2), np.sin(angle / 2) * vectors / angle], axis=1))
+
+
+def summary(rows, leaf):
+    """Return the sums over images."""
+    kinds = {}
+    for row in rows:
+        shows = " and ".join(name for name in ("x", "disc") if row[f"{name}_px"] > 0)
+        kinds.setdefault(shows, []).append(row)
+    return {
+        "images": len(rows),
+        "leaf_deg": leaf,
+        "cubes_beyond_two_half_diagonals": sum(row["cubes_beyond_two_half_diagonals"] > 0 for row in rows),
+        "other_rotations_that_draw_the_image": sum(row["of_these_drawn_the_same"] > 0 for row in rows),
+        "by_what_shows": {
+            shows: {
+                "images": len(some),
+                "nodes": int(np.median([row["nodes"] for row in some])),
+                "seconds": float(np.median([row["seconds"] for row in some])),
+                "farthest_from_the_set_deg": max(row["farthest_from_the_set_deg"] for row in some),
+            }
+            for shows, some in sorted(kinds.items())
+        },
+        "rows": rows,
+    }
+
+
+if __name__ == "__main__":
+    main()
