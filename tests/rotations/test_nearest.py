@@ -148,11 +148,12 @@ def test_the_size_of_the_steps_changes_nothing(monkeypatch):
 def test_circles_of_a_built_in_object_part_its_group_or_there_are_none(name):
     group = load_object(name).symmetry_group
     circles = find_circles(group)
-    if name not in ("cone", "cyl", "cylO", "dots", "mug", "screw"):
+    if name not in ("cone", "cyl", "cylO", "dots", "mug", "screw", "sphereX"):
         assert circles is None
         return
     assert circles.index.shape == (len(group) // 360, 360)
-    assert sorted(circles.index.reshape(-1)) == list(range(len(group)))
+    assert sorted([*circles.index.reshape(-1), *circles.isolated_index]) == list(range(len(group)))
+    assert (len(circles.isolated) > 0) == (name == "sphereX")
     assert circles.step_rad == pytest.approx(np.radians(1), abs=1e-15)
     np.testing.assert_allclose(np.abs(circles.axis), [0, 0, 1], atol=1e-12)
     for start, row in zip(circles.starts, circles.index, strict=True):
