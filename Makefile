@@ -41,7 +41,7 @@ soak: $(INSTALLED)  ## long proofs on real renders and real processes, in build/
 perf: $(INSTALLED)  ## speed and memory, beside the common recipe, drawing every candidate, and PNG files
 	$(BIN)/python tools/perf
 
-attack: $(INSTALLED)  ## 13,000 damaged and hostile files for every reader, in build/attack.json; half an hour
+attack: $(INSTALLED)  ## 15,000 damaged and hostile files for every reader, in build/attack.json; three quarters of an hour
 	$(BIN)/python tools/attack
 
 mutate: $(INSTALLED)  ## change the code a little, many times, and name the changes that no test notices; half an hour

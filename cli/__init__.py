@@ -1,1 +1,1 @@
-"""The command `symsol-annot`: a small module a command, which parses, calls the library and prints."""
+"""The command `symsol-annot`: a small module per command, which parses, calls the library and prints."""

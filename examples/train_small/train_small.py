@@ -1,7 +1,7 @@
 """Train a small network to say in which orientations an object may be, and write its predictions for scoring.
 
-The network gives HYPOTHESES rotations an image. Its loss is the distance between two sets of rotations, both ways: each
-member of the image's symmetry set wants a hypothesis near it, and each hypothesis wants a member near it.
+The network gives HYPOTHESES rotations per image. Its loss is the distance between two sets of rotations, both ways:
+each member of the image's symmetry set wants a hypothesis near it, and each hypothesis wants a member near it.
 """
 
 import argparse

@@ -20,7 +20,10 @@ from symsol_annot.sets.manifest import read_manifest
 
 TOOLS = Path(__file__).parents[2] / "tools"
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="attempts are watched with what Linux has")
-SEEDED = ("shards", "shards, signed again", "manifests, signed again", "found before", "objects", "zips")
+SEEDED = (
+    *("shards", "shards, signed again", "manifests, signed again", "found before", "objects", "zips"),
+    *("archives", "BOP folders", "mesh files"),
+)
 
 
 @LINUX

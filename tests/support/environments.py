@@ -1,5 +1,6 @@
 """Wheels built from a copy of the project, and new Python environments that hold what is put into them."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -72,9 +73,15 @@ def required_by(*names):
 
 
 def run(*command, expected=0, cwd=None):
-    """Run a program to its end, which must be the expected one and no traceback, outside of the project."""
+    """Run a program to its end, which must be the expected one and no traceback, outside of the project.
+
+    It finds what is installed where it runs, and nothing by a PYTHONPATH of whoever calls.
+    """
     words = [str(word) for word in command]
-    done = subprocess.run(words, capture_output=True, text=True, cwd=cwd or "/", stdin=subprocess.DEVNULL, check=False)
+    own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        words, capture_output=True, text=True, cwd=cwd or "/", env=own, stdin=subprocess.DEVNULL, check=False
+    )
     assert done.returncode == expected, f"{words}: {done.returncode}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
     assert "Traceback" not in done.stderr
     return done

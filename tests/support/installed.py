@@ -35,9 +35,10 @@ def check_base(environment, folder):
     """Use an installation without extras, in an empty folder: load, look, verify, score."""
     said = environment.run("python", "-W", "error", "-c", _TRUTH, cwd=folder).stdout
     command, [sample] = "symsol-annot", _on_sample(environment, ["SAMPLE"])
-    assert said.strip() == sample
-    assert "marking shows in 28 of 64" in environment.run(command, "info", sample, cwd=folder).stdout
-    assert "whole and consistent" in environment.run(command, "verify", sample, cwd=folder).stdout
+    assert said.strip() == sample, f"load_sample's folder: expected {sample}, found {said}"
+    for words, expected in (("info", "marking shows in 28 of 64"), ("verify", "whole and consistent")):
+        told = environment.run(command, words, sample, cwd=folder).stdout
+        assert expected in told, f"{words}: expected {expected!r}, found {told}"
     environment.run(command, "validate", "preds.h5", "--data", sample, cwd=folder)
     environment.run(command, "score", "preds.h5", "--data", sample, "--json", "scores.json", cwd=folder)
     figures = json.loads((folder / "scores.json").read_text())["objects"]["tetX"]["hypotheses"]["all"]

@@ -279,7 +279,7 @@ def quoted(text, rng):
 
 
 def many_lines(text, rng):
-    line = text.split("\n")[1]
+    line = text.split("\n")[:2][-1]
     return text + f"{line}\n" * int(rng.choice([100, 5000, 40_000]))
 
 

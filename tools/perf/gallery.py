@@ -1,7 +1,7 @@
 """How a gallery of many images behaves in a browser: python tools/perf/gallery.py SET [--steps 40] [--json FILE].
 
 SET is a test split, such as `symsol-annot render --object cylO --train 0 --test 10000` makes. Writes 30 random
-hypotheses an image and a gallery with them, opens it in headless Chromium, and goes through it by its keys.
+hypotheses per image and a gallery with them, opens it in headless Chromium, and goes through it by its keys.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """How long scoring takes, stage by stage and beside roma; run by hand: python tools/perf/score.py [--images 5000].
 
 Makes a set of cylO's size and symmetry sets without drawing anything (a candidate is hidden where the disc's centre
-faces away), 30 hypotheses an image, and prints one table. Everything is timed in one run, and the ratios with it.
+faces away), 30 hypotheses per image, and prints one table. Everything is timed in one run, and the ratios with it.
 """
 
 import argparse

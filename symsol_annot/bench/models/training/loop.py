@@ -1,4 +1,4 @@
-"""Training a model by a recipe: epoch after epoch, each of them kept, so that it goes on wherever it was stopped."""
+"""Training a model by a recipe: epoch after epoch, each of them kept, so that it resumes after the last whole one."""
 
 import importlib.util
 import math
