@@ -53,7 +53,7 @@ def main():
     parser.add_argument("--rows", type=Path, required=True, help="one line of JSON per image; none is done again")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    end = time.monotonic() + 60 * (arguments.minutes or float("inf"))
+    end = time.monotonic() + (float("inf") if arguments.minutes is None else 60 * arguments.minutes)
     dataset = load(arguments.folder, arguments.split)
     done = {row["image"]: row for row in rows_of(arguments.rows)}
     chosen = hardest_and_first(dataset, arguments.hard, arguments.images)

@@ -42,7 +42,9 @@ def main():
     parser.add_argument("--minutes", type=float, help="stop after so long, with what was compared by then")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    found = compare(arguments, time.monotonic() + 60 * (arguments.minutes or float("inf")))
+    found = compare(
+        arguments, time.monotonic() + (float("inf") if arguments.minutes is None else 60 * arguments.minutes)
+    )
     print(json.dumps(found, indent=1))
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1) + "\n")
