@@ -42,7 +42,9 @@ def main():
     parser.add_argument("--minutes", type=float, help="stop after so long, with what was compared by then")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    found = compare(arguments, time.monotonic() + 60 * (arguments.minutes or float("inf")))
+    found = compare(
+        arguments, time.monotonic() + (float("inf") if arguments.minutes is None else 60 * arguments.minutes)
+    )
     print(json.dumps(found, indent=1))
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1) + "\n")
@@ -52,8 +54,10 @@ def main():
 def compare(arguments, end):
     """Return the counts."""
     spec, camera, settings = load_object("sphereX"), Camera.filling(SIZE), RenderSettings()
-    T = spec.tolerance_px
-    audited = VolumeAudit(volume_by_geometry(spec.mesh, camera, T), T, SIZE)
+    T = spec.tolerance_px or 0.0
+    volume = volume_by_geometry(spec.mesh, camera, T)
+    assert volume is not None
+    audited = VolumeAudit(volume, T, SIZE)
     visibility, rng = MarkingVisibility(spec.mesh, camera, settings), np.random.default_rng(arguments.seed)
     edges_deg = np.arange(0.0, np.degrees(EDGE_BAND_RAD) + STEP_DEG, STEP_DEG)
     by_distance = np.zeros((2, len(edges_deg) - 1), dtype=int)  # all, and those that differ
