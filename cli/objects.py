@@ -10,7 +10,7 @@ from symsol_annot.objects.spec import PUBLISHED_NAMES, ObjectSpec, builtin_names
 @click.command(epilog=example("symsol-annot objects"))
 def objects() -> None:
     """List the built-in objects: those of the published benchmark, and what ships beside them."""
-    say(f"{'name':<7}{'|C|':>5}{'|H|':>5}{'T (px)':>8}  what")
+    say(f"{'name':<7}{'|C|':>6}{'|H|':>5}{'T (px)':>8}  what")
     others = [name for name in builtin_names() if name not in PUBLISHED_NAMES]
     for name in PUBLISHED_NAMES:
         say(_line(load_object(name)))
@@ -29,4 +29,5 @@ def objects() -> None:
 def _line(spec: ObjectSpec) -> str:
     tolerance = f"{spec.marking.tolerance_px:g}" if spec.marking else "-"
     parts = ": " + ", ".join(part.name for part in spec.parts) if len(spec.parts) > 1 and spec.has_general_rule else ""
-    return f"{spec.name:<7}{len(spec.symmetry_group):>5}{len(spec.stabiliser):>5}{tolerance:>8}  {spec.title}{parts}"
+    candidates = "SO(3)" if spec.has_all_rotations else str(len(spec.symmetry_group))
+    return f"{spec.name:<7}{candidates:>6}{len(spec.stabiliser):>5}{tolerance:>8}  {spec.title}{parts}"

@@ -102,13 +102,19 @@ def export_bop(
         on_image: called after each image.
 
     Raises:
-        SettingsError: the radius is no length.
+        SettingsError: the radius is no length, or the symmetries of a ball's body were asked for, which are no list.
         DataError: a shard is damaged.
         OutputError: the folder holds something, or cannot be written to; nothing of the dataset is left.
     """
     least, most = _RADII_MM
     if not (math.isfinite(radius_mm) and least <= radius_mm <= most):
         raise SettingsError(f"radius: expected {least:g} to {most:g} mm, found {radius_mm}")
+    balls = [one.spec.name for one in objects if one.spec.has_all_rotations]
+    if balls and symmetries == "body":
+        raise SettingsError(
+            f"symmetries: the body of {', '.join(balls)} is a ball, whose symmetries are all rotations, and "
+            "models_info.json lists none or few; take those of the object"
+        )
     with held_folder(out):
         _refuse_contents(out)
         with new_folder(out) as new:
