@@ -119,7 +119,7 @@ def time_volumes(images):
     hypotheses = uniform_rotations(images * M, rng).reshape(images, M, 3, 3)
     hypotheses[:, ::2] = volume.sample(images * M // 2, rng).reshape(images, -1, 3, 3)
     start, cpu = time.perf_counter(), time.process_time()
-    scorer = HypothesesScorer(cast(Any, SimpleNamespace(count=M)), truth)
+    scorer = HypothesesScorer(cast("Any", SimpleNamespace(count=M)), truth)
     rows = [np.arange(at, min(at + 500, images)) for at in range(0, images, 500)]
     merge([scorer.score_block(HypothesesBlock(some, hypotheses[some], None)) for some in rows])
     wall, cpu = time.perf_counter() - start, time.process_time() - cpu
