@@ -52,8 +52,10 @@ def main():
 def compare(arguments, end):
     """Return the counts."""
     spec, camera, settings = load_object("sphereX"), Camera.filling(SIZE), RenderSettings()
-    T = spec.tolerance_px
-    audited = VolumeAudit(volume_by_geometry(spec.mesh, camera, T), T, SIZE)
+    T = spec.tolerance_px or 0.0
+    volume = volume_by_geometry(spec.mesh, camera, T)
+    assert volume is not None
+    audited = VolumeAudit(volume, T, SIZE)
     visibility, rng = MarkingVisibility(spec.mesh, camera, settings), np.random.default_rng(arguments.seed)
     edges_deg = np.arange(0.0, np.degrees(EDGE_BAND_RAD) + STEP_DEG, STEP_DEG)
     by_distance = np.zeros((2, len(edges_deg) - 1), dtype=int)  # all, and those that differ

@@ -104,7 +104,14 @@ def _drawn(renderer: Renderer, sample: Sample, element: int, angle_rad: float) -
     symmetry_set = sample.symmetry_set
     view = renderer.render(symmetry_set.R_gt @ symmetry_set.group[element])
     differing = int(np.count_nonzero(view.segmentation != sample.segmentation))
-    return Drawing(element, bool(symmetry_set.is_member[element]), float(np.degrees(angle_rad)), differing, view.rgb)
+    return Drawing(element, bool(_are_in_set(sample)[element]), float(np.degrees(angle_rad)), differing, view.rgb)
+
+
+def _are_in_set(sample: Sample) -> npt.NDArray[np.bool_]:
+    """Tell which candidates (G,) are in an image's set, as members or inside of its volume."""
+    found = sample.symmetry_set
+    is_inside = False if found.volume is None else found.volume.contains(found.candidates)
+    return np.asarray(found.is_member | is_inside)
 
 
 def _chosen_images(images: int, count: int, runs: Sequence[Run]) -> tuple[int, ...]:
@@ -119,7 +126,7 @@ def _chosen_candidates(sample: Sample) -> list[tuple[int, float]]:
 
     The angle between R g and R g' is that between g and g'.
     """
-    is_member, group = sample.symmetry_set.is_member, sample.symmetry_set.group
+    is_member, group = _are_in_set(sample), sample.symmetry_set.group
     members, rejected = np.flatnonzero(is_member), np.flatnonzero(~is_member)
     sides = ((members[members != 0], group[:1]), (rejected, group[members]))  # the identity is the image itself
     return [

@@ -21,7 +21,7 @@ from symsol_annot.generation.marking_trace import MarkingTrace
 from symsol_annot.generation.outside import near_members
 from symsol_annot.generation.volume_audit import VolumeAudit
 from symsol_annot.rendering.control import ControlledRenderer
-from symsol_annot.rendering.renderer import MARKING, Renderer
+from symsol_annot.rendering.renderer import BACKGROUND, MARKING, Renderer
 from symsol_annot.rotations.so3 import Rotations, angle_between
 from symsol_annot.sets.dataset import Dataset, Sample
 from symsol_annot.sets.plan import SetPlan
@@ -255,19 +255,10 @@ class _Drawer:
         if differing_px is None or tolerance_px is None:
             return _faults_of_member(stored, drawn)
         within_px = min(differing_px, tolerance_px)
-        faults = _faults_of_member(stored, drawn, within_px, self.beside_silhouette)
+        faults = _faults_of_member(stored, drawn, within_px, is_round=self.annotator.spec.max_offset > 0)
         if differing_px >= tolerance_px + EDGE_AREA_PX:
             faults.append(f"differs in {differing_px:g} pixels of the parts that break the symmetry")
         return faults
-
-    @property
-    def beside_silhouette(self) -> int:
-        """How many pixels may differ since facets stand for a round body: those of the ring that they may leave off."""
-        rule = self.annotator.general_rule
-        if rule is None:
-            return 0
-        radius_px = rule.camera.focal_px / np.sqrt(rule.camera.distance**2 - 1.0)
-        return round(2.0 * np.pi * radius_px**2 * rule.spec.max_offset)
 
     def drawing(
         self,
@@ -283,7 +274,7 @@ class _Drawer:
 
 
 def _faults_of_member(
-    stored: _Drawing, drawn: _Drawing, differing_px: float | None = None, beside_silhouette: int = 0
+    stored: _Drawing, drawn: _Drawing, differing_px: float | None = None, *, is_round: bool = False
 ) -> list[str]:
     """Say in what a member of an image's set draws another image.
 
@@ -292,7 +283,8 @@ def _faults_of_member(
         drawn: the member's drawing.
         differing_px: by how much the general rule lets them differ, by which a part may show in one alone; None where
             another rule is the set's.
-        beside_silhouette: how many pixels more may differ, of a body that is round only within a tolerance.
+        is_round: whether facets stand for a round body: its rim, where it is lit at a grazing angle, then depends on
+            where they lie, and pixels beside it are not compared.
     """
     faults = []
     if drawn.shows != stored.shows and differing_px is None:
@@ -303,20 +295,28 @@ def _faults_of_member(
     if drawn.coset_px == 0 and drawn.trace.any():
         faults.append("hides the marking, yet its RGB carries a trace of the marking's colour")
     below_tolerance = sum(0 if drawing.shows else drawing.coset_px for drawing in (stored, drawn))
-    allowed = EDGE_PIXELS + beside_silhouette + round(_POINTS_PER_PIXEL * max(below_tolerance, differing_px or 0.0))
+    allowed = EDGE_PIXELS + round(_POINTS_PER_PIXEL * max(below_tolerance, differing_px or 0.0))
+    inside = ~(_beside_background(stored.segmentation) | _beside_background(drawn.segmentation)) | (not is_round)
     rgb = np.abs(stored.rgb.astype(np.int16) - drawn.rgb.astype(np.int16)).max(axis=-1) > RGB_LEVELS
     differing = {
-        "segmentation": int(np.count_nonzero(stored.segmentation != drawn.segmentation)),
-        "RGB": int(np.count_nonzero(rgb)),
+        "segmentation": int(np.count_nonzero((stored.segmentation != drawn.segmentation) & inside)),
+        "RGB": int(np.count_nonzero(rgb & inside)),
     }
     if stored.depth is not None and drawn.depth is not None:
-        differing["depth"] = int(np.count_nonzero(np.abs(stored.depth - drawn.depth) > DEPTH_RADII))
+        differing["depth"] = int(np.count_nonzero((np.abs(stored.depth - drawn.depth) > DEPTH_RADII) & inside))
     faults += [
         f"{count} pixels of the {name} differ, at most {allowed} may"
         for name, count in differing.items()
         if count > allowed
     ]
     return faults
+
+
+def _beside_background(segmentation: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    """Tell which pixels (H, W) are background, or one or two pixels from it."""
+    height, width = segmentation.shape
+    padded, reach = np.pad(segmentation == BACKGROUND, 2), range(5)
+    return np.any([padded[down : down + height, right : right + width] for down in reach for right in reach], axis=0)
 
 
 def _chosen(symmetry_set: SymmetrySet, rng: np.random.Generator) -> npt.NDArray[np.intp]:

@@ -18,7 +18,7 @@ from symsol_annot.objects.object_toml import ObjectToml
 from symsol_annot.objects.part_symmetries import lands_on, moments_of
 from symsol_annot.objects.parts import Part
 from symsol_annot.objects.surface import SURFACE_TOLERANCE
-from symsol_annot.rotations.groups import cyclic_group
+from symsol_annot.rotations.groups import GROUP_KINDS, cyclic_group
 from symsol_annot.rotations.so3 import Rotations, rotations_about
 
 Flags = npt.NDArray[np.bool_]
@@ -46,8 +46,15 @@ class TurnsOfParts:
 
 
 def declares_all_rotations(toml: ObjectToml) -> bool:
-    """Tell whether an object.toml of format version 2 declares SO(3) as the group."""
-    return toml.has("symmetry.kind") and toml.take("symmetry.kind", str) == ALL_ROTATIONS
+    """Tell whether an object.toml of format version 2 declares SO(3) as the group.
+
+    Raises:
+        ObjectError: it declares a group of no kind.
+    """
+    kind = toml.take("symmetry.kind", str) if toml.has("symmetry.kind") else None
+    if kind is not None and kind not in GROUP_KINDS and kind != ALL_ROTATIONS:
+        raise toml.fault("symmetry.kind", f"expected one of {', '.join(GROUP_KINDS)}, {ALL_ROTATIONS}, found {kind!r}")
+    return kind == ALL_ROTATIONS
 
 
 def turns_of_parts(toml: ObjectToml, mesh: Mesh, parts: tuple[Part, ...], of: tuple[str, ...]) -> TurnsOfParts:

@@ -7,11 +7,12 @@ from parted_objects import drawn_set
 
 from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.annotation.balls.hidden_directions import rotations_seen_from, visible_area_px, volume_by_geometry
+from symsol_annot.annotation.symmetry_set import SymmetrySet, circles_of
 from symsol_annot.annotation.volume import viewing_directions
-from symsol_annot.objects.spec import read_object
+from symsol_annot.objects.spec import load_object, read_object
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
-from symsol_annot.rotations.so3 import uniform_rotations
+from symsol_annot.rotations.so3 import angle_between, uniform_rotations
 
 CAMERA, SETTINGS = Camera.filling(16), RenderSettings()
 
@@ -122,3 +123,17 @@ def test_parts_that_stand_out_of_a_ball_have_the_volume_that_drawing_gives(tmp_p
 
     annotator = Annotator.for_object(spec, CAMERA, SETTINGS, Counting())
     assert annotator.annotate(np.eye(3), 0.0).volume.measure == pytest.approx(0.25, abs=0.01)
+
+
+def test_distances_to_sets_over_a_list_of_candidates_are_those_to_the_nearest_member():
+    """The list is no group: a circle about one axis, and turns about another that lie on none."""
+    group, rng = load_object("sphereX").symmetry_group, np.random.default_rng(6)
+    circles = circles_of(group)
+    assert circles.index.shape == (1, 360)
+    assert circles.isolated_index.tolist() == [1, 2, 3]
+    mask = rng.random(len(group)) < 0.3
+    mask[[0, 2]] = True
+    found, R = SymmetrySet(uniform_rotations(1, rng)[0], group, mask), uniform_rotations(40, rng)
+    expected = angle_between(R[:, None], found.members).min(axis=1)
+    np.testing.assert_allclose(found.distance(R), expected, atol=1e-9)
+    assert len(found.along_arcs) == mask.sum()

@@ -118,3 +118,8 @@ def test_where_something_of_the_x_is_before_a_horizon_a_corner_of_it_is():
         before = directions @ points.T - horizon
         assert (before.max(axis=1) > 0).any()
         assert ((before[:, is_corner].max(axis=1) > 0) | (before.max(axis=1) <= 1e-5)).all()
+
+
+def test_a_group_of_no_kind_is_answered_with_all_kinds(read):
+    with pytest.raises(ObjectError, match=r"line \d+: symmetry\.kind: expected one of cyclic, .*so3, found 'sphere'"):
+        read(ball_toml(group='kind = "sphere"'), ball())
