@@ -12,16 +12,19 @@ import tempfile
 import time
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import roma
 import torch
 
 from symsol_annot import load
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.bench.predictions.predictions_reader import Predictions
 from symsol_annot.bench.predictions.sandboxed_file import SandboxedFile
-from symsol_annot.bench.predictions.tracks.hypotheses import HypothesesReader
-from symsol_annot.bench.predictions.truth import truth_of
+from symsol_annot.bench.predictions.tracks.hypotheses import HypothesesBlock, HypothesesReader
+from symsol_annot.bench.predictions.truth import Truth, truth_of
 from symsol_annot.bench.predictions.writing.submission import write_columns, write_hypotheses
 from symsol_annot.bench.scoring.averages import figures, merge
 from symsol_annot.bench.scoring.scorers.hypotheses import HypothesesScorer
@@ -31,8 +34,10 @@ from symsol_annot.objects.spec import load_object
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.renderer import View
 from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.rotations.groups import cyclic_group
 from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.plan import SetPlan
+from symsol_annot.sets.shard.labels import Labels
 
 SIZE = 16
 M = 30
@@ -75,9 +80,13 @@ def main():
     """Make the set, time everything, print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=int, default=5000)
+    parser.add_argument("--volumes", action="store_true", help="score sets that all fill a volume, and nothing else")
     parser.add_argument("--classifier", action="store_true", help="also score a classifier that claims 1%% of the grid")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
+    if arguments.volumes:
+        time_volumes(arguments.images)
+        return
     with tempfile.TemporaryDirectory() as temporary:
         data = Path(temporary)
         dataset = make_set(data, arguments.images)
@@ -94,6 +103,29 @@ def main():
         if arguments.classifier:
             write_dense_classifier(path, dataset)
             time_command(path, data)
+
+
+def time_volumes(images):
+    """Time the metrics of images whose sets are all a third of SO(3), of hypotheses half of which are inside."""
+    rng = np.random.default_rng(0)
+    centre, hole = np.array([0.48, -0.6, 0.64]), np.array([-0.6, 0.48, 0.64])
+    volume = Volume.of_directions(lambda v: (v @ centre > 0.3) & (v @ hole < 0.9))
+    group = cyclic_group(360)
+    mask = np.arange(360)[None].repeat(images, axis=0) == 0
+    none, pixels = np.zeros(images, bool), np.zeros(images, np.float32)
+    index = np.zeros(images, np.int32)
+    labels = Labels(volume.sample(images, rng), mask, group, pixels, none, None, index, (volume,))
+    truth = Truth("ball", "test", "made up", True, SIZE * SIZE, labels)
+    hypotheses = uniform_rotations(images * M, rng).reshape(images, M, 3, 3)
+    hypotheses[:, ::2] = volume.sample(images * M // 2, rng).reshape(images, -1, 3, 3)
+    start, cpu = time.perf_counter(), time.process_time()
+    scorer = HypothesesScorer(cast("Any", SimpleNamespace(count=M)), truth)
+    rows = [np.arange(at, min(at + 500, images)) for at in range(0, images, 500)]
+    merge([scorer.score_block(HypothesesBlock(some, hypotheses[some], None)) for some in rows])
+    wall, cpu = time.perf_counter() - start, time.process_time() - cpu
+    rss = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+    print(f"{images} images, each set {volume.measure:.1%} of SO(3), M = {M}")
+    print(f"metrics {wall:.1f} s, {cpu:.1f} s of them of the CPU; largest process {rss:.0f} MiB")
 
 
 def make_set(data, images):

@@ -41,7 +41,7 @@ def truth(path: Path, dataset: Dataset, known: Truth, level: int = STANDARD_LEVE
     cells = [np.unique(of_image, return_counts=True) for of_image in _cells(known, level)]
     columns = {
         "density_offsets": _offsets([indices for indices, _ in cells]),
-        "density_indices": np.concatenate([indices for indices, _ in cells]),
+        "density_indices": np.concatenate([indices.astype(np.int32) for indices, _ in cells]),
         "density_log_probabilities": np.log(
             np.concatenate([_LISTED_MASS * counts / counts.sum() for _, counts in cells])
         ),
@@ -214,7 +214,7 @@ def _write_classifier(
 
 
 def _on_grid(cells: Sequence[npt.NDArray[np.int64]]) -> dict[str, npt.NDArray[Any]]:
-    indices = np.concatenate(cells)
+    indices = np.concatenate([of_image.astype(np.int32) for of_image in cells])  # many, of sets that fill a volume
     return {
         "grid_offsets": _offsets(cells),
         "grid_indices": indices,
