@@ -6,7 +6,7 @@ import click
 from symsol_annot_cli.parameters import SET_FOLDER, SPLIT, example, progress_bar
 from symsol_annot_cli.terminal import say
 
-from symsol_annot.bench.predictions.query_file import write_queries
+from symsol_annot.bench.predictions.writing.query_file import write_queries
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.sets import dataset
 from symsol_annot.system.files import make_folder

@@ -10,8 +10,8 @@ from query_oracle import recomputed
 
 from symsol_annot.bench.predictions.format import FILE_ATTRIBUTES
 from symsol_annot.bench.predictions.queries import Queries, group_sha256
-from symsol_annot.bench.predictions.query_file import write_queries
 from symsol_annot.bench.predictions.tracks.classifier import CLASSIFIER_ATTRIBUTES
+from symsol_annot.bench.predictions.writing.query_file import write_queries
 from symsol_annot.errors import NotAnnotatedError, OutputError, SettingsError
 from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_sha256
 from symsol_annot.sets.dataset import load

@@ -10,8 +10,8 @@ from made_sets import threads
 
 from symsol_annot import load
 from symsol_annot.bench.predictions.queries import Queries
-from symsol_annot.bench.predictions.query_file import write_queries
 from symsol_annot.bench.predictions.truth import truth_of
+from symsol_annot.bench.predictions.writing.query_file import write_queries
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
 from symsol_annot.bench.scoring.memory.in_memory import score
 from symsol_annot.bench.scoring.reference import IN_VOLUME, ROWS, score_row
