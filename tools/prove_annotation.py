@@ -70,7 +70,7 @@ def summary(rows):
         "candidates": candidates,
         "decided by geometry": candidates - drawn,
         "drawn": drawn,
-        "drawn a view": round(drawn / len(rows), 3),
+        "drawn per view": round(drawn / len(rows), 3),
         "differences": differences,
         "exhaustive ms": round(1e3 * slow, 1),
         "geometry ms": round(1e3 * fast, 2),

@@ -22,7 +22,7 @@ SUPPORT = Path(__file__).parent
 
 
 class DiscRenderer(NumpyRenderer):
-    """Draws cylO; casting rays at 720 candidates an image would take minutes, so the disc's area is summed up.
+    """Draws cylO; casting rays at 720 candidates per image would take minutes, so the disc's area is summed up.
 
     The disc is a lattice of small patches on the cylinder; the body is convex, so a patch that faces the camera shows.
     """
@@ -48,7 +48,7 @@ class DiscRenderer(NumpyRenderer):
         facing = -np.einsum("rpi,rpi->rp", self._normals @ R_m2c.transpose(0, 2, 1), rays)
         seen = np.maximum(facing, 0.0) / rays[..., 2] ** 3
         area_px = seen.sum(axis=1) * self._patch_area * self._focal_px**2
-        return np.ceil(4.0 * area_px) / 4.0  # of four samples a pixel
+        return np.ceil(4.0 * area_px) / 4.0  # of four samples per pixel
 
 
 def small_set(folder, name, images=24, seed=0):
