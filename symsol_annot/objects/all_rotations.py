@@ -11,15 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.finding.found import ALL_ROTATIONS, CIRCLE_STEPS
-from symsol_annot.objects.finding.kinds import frame_about
 from symsol_annot.objects.mesh import BODY_ID, Mesh
 from symsol_annot.objects.object_toml import ObjectToml
 from symsol_annot.objects.part_symmetries import lands_on, moments_of
 from symsol_annot.objects.parts import Part
 from symsol_annot.objects.surface import SURFACE_TOLERANCE
-from symsol_annot.rotations.groups import GROUP_KINDS, cyclic_group
-from symsol_annot.rotations.so3 import Rotations, rotations_about
+from symsol_annot.rotations.groups import ALL_ROTATIONS, CIRCLE_STEPS, GROUP_KINDS, cyclic_group
+from symsol_annot.rotations.so3 import Rotations, frame_about, rotations_about
 
 Flags = npt.NDArray[np.bool_]
 

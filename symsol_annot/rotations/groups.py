@@ -82,6 +82,8 @@ def _signed_permutations(*, even_only: bool) -> Rotations:
     return np.stack(found)
 
 
+ALL_ROTATIONS = "so3"  # the kind of what no list holds
+CIRCLE_STEPS = 360  # that stand for a circle, of exactly 1 degree
 GROUP_KINDS = {
     kind.name: kind
     for kind in (

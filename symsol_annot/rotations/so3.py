@@ -155,3 +155,16 @@ def rotations_about(axis: npt.ArrayLike, angles_rad: npt.ArrayLike) -> Rotations
     cross = np.array([[0.0, -n[2], n[1]], [n[2], 0.0, -n[0]], [-n[1], n[0], 0.0]])
     angles = np.asarray(angles_rad, dtype=np.float64)[..., None, None]
     return np.eye(3) + np.sin(angles) * cross + (1.0 - np.cos(angles)) * (cross @ cross)
+
+
+def frame_about(z: npt.NDArray[np.float64], x: npt.NDArray[np.float64] | None = None) -> Rotations:
+    """Return the frame (3, 3) with the third column along z, and the first near x; by default near the x axis."""
+    z = z / np.linalg.norm(z)
+    for wanted in (x, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])):
+        if wanted is None:
+            continue
+        across = wanted - (wanted @ z) * z
+        if np.linalg.norm(across) > 0.1:
+            across /= np.linalg.norm(across)
+            return np.stack([across, np.cross(z, across), z], axis=1)
+    return np.eye(3)

@@ -32,8 +32,8 @@ FAULTS = {
     ),
     "label transposed": (
         "symsol_annot/generation/maker.py",
-        "return ImageRecord(view, R_gt, coset_px, annotation.mask)",
-        "return ImageRecord(view, R_gt.T, coset_px, annotation.mask)",
+        "return ImageRecord(view, R_gt, coset_px, annotation.mask, annotation.volume)",
+        "return ImageRecord(view, R_gt.T, coset_px, annotation.mask, annotation.volume)",
         "house/test_planted_faults.py::test_stored_sets_hold_rotations_that_draw_the_stored_image",
     ),
     "object turned the other way": (

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 READING_SETS = ("sets.dataset", "sets.verify", "sets.statistics", "plotting.contact_sheet", "cli")
-SCORING = ("bench.scoring.scoring", "bench.scoring.report", "bench.scoring.comparison", "cli")
+SCORING = ("bench.scoring.scoring", "bench.scoring.reports.report", "bench.scoring.reports.comparison", "cli")
 
 
 class Attempt(NamedTuple):

@@ -10,11 +10,13 @@ import numpy.typing as npt
 
 from symsol_annot.bop.reading.json_files import numbers, typed
 from symsol_annot.errors import DataError, ObjectError
-from symsol_annot.objects.finding.found import CIRCLE_STEPS, Group
-from symsol_annot.objects.finding.kinds import fitted_group, frame_about
+from symsol_annot.objects.finding.found import Group
+from symsol_annot.objects.finding.kinds import fitted_group
+from symsol_annot.rotations.groups import CIRCLE_STEPS
 from symsol_annot.rotations.so3 import (
     Rotations,
     angle_between,
+    frame_about,
     nearest_rotations,
     rotation_deviation,
     rotation_to_quat_wxyz,

@@ -7,7 +7,7 @@ no symmetry of the mesh. Looked for are also larger groups of what is left where
 import numpy as np
 
 from symsol_annot.errors import ObjectError
-from symsol_annot.objects.finding.found import ALL_ROTATIONS, CIRCLE_STEPS, Group, LargerGroup, Symmetries
+from symsol_annot.objects.finding.found import Group, LargerGroup, Symmetries
 from symsol_annot.objects.finding.kinds import fitted_group
 from symsol_annot.objects.finding.remainders.roundness import off_ball
 from symsol_annot.objects.finding.report import axis_in_words, is_close
@@ -16,6 +16,7 @@ from symsol_annot.objects.finding.symmetries import find_symmetries
 from symsol_annot.objects.parts import MOST_OFFSET
 from symsol_annot.objects.spec import ObjectSpec
 from symsol_annot.objects.surface import SURFACE_TOLERANCE
+from symsol_annot.rotations.groups import ALL_ROTATIONS, CIRCLE_STEPS
 
 _SAME = 1e-3  # Frobenius distance of elements of a declared and of a found group
 _STEP = 0.02  # Frobenius distance, half a step of a circle by degrees and a little more

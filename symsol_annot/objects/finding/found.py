@@ -8,11 +8,10 @@ import numpy.typing as npt
 
 from symsol_annot.objects.finding.axes import angles_and_axes
 from symsol_annot.objects.finding.surface import Indices, Points
-from symsol_annot.rotations.groups import GROUP_KINDS, cyclic_group, dihedral_group
+from symsol_annot.rotations.groups import ALL_ROTATIONS, CIRCLE_STEPS, GROUP_KINDS, cyclic_group, dihedral_group
 from symsol_annot.rotations.so3 import Rotations
 
-CIRCLE, CIRCLE_WITH_HALF_TURNS, ALL_ROTATIONS = "circle", "circle with half turns", "so3"
-CIRCLE_STEPS = 360  # that stand for a circle, of exactly 1 degree
+CIRCLE, CIRCLE_WITH_HALF_TURNS = "circle", "circle with half turns"
 _LETTERS = {"tetrahedral": "T", "octahedral": "O", "icosahedral": "I"}
 _PLAIN_NAMES = {CIRCLE: "circle", CIRCLE_WITH_HALF_TURNS: "circle with half turns", ALL_ROTATIONS: "SO(3)"}
 

@@ -8,7 +8,7 @@ from symsol_annot.objects.finding.axes import angles_and_axes
 from symsol_annot.objects.finding.found import Group, trivial_group
 from symsol_annot.objects.finding.surface import Points
 from symsol_annot.rotations.groups import GROUP_KINDS, icosahedral_group, octahedral_group
-from symsol_annot.rotations.so3 import Angles, Rotations
+from symsol_annot.rotations.so3 import Angles, Rotations, frame_about
 
 _PARALLEL = np.cos(0.03)
 _HALF_TURN = np.radians(170.0)  # of the groups' angles, those beyond it are half turns, or by steps of a large circle
@@ -42,19 +42,6 @@ def fitted_group(elements: Rotations) -> Group:
             f"{len(group.rotations)}; state a smaller tolerance, or one that is as large as the mesh is inexact"
         )
     return group
-
-
-def frame_about(z: Points, x: Points | None = None) -> Rotations:
-    """Return the frame (3, 3) with the third column along z, and the first near x; by default near the x axis."""
-    z = z / np.linalg.norm(z)
-    for wanted in (x, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])):
-        if wanted is None:
-            continue
-        across = wanted - (wanted @ z) * z
-        if np.linalg.norm(across) > 0.1:
-            across /= np.linalg.norm(across)
-            return np.stack([across, np.cross(z, across), z], axis=1)
-    return np.eye(3)
 
 
 def _cyclic(z: Points, order: int) -> Group:

@@ -7,15 +7,9 @@ from scipy.spatial.distance import pdist
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.candidates import hull_corners
-from symsol_annot.objects.finding.found import (
-    ALL_ROTATIONS,
-    CIRCLE_STEPS,
-    CIRCLE_WITH_HALF_TURNS,
-    CertifiedGroup,
-    Group,
-    Symmetries,
-)
+from symsol_annot.objects.finding.found import CIRCLE_WITH_HALF_TURNS, CertifiedGroup, Group, Symmetries
 from symsol_annot.objects.finding.surface import Points, Surface
+from symsol_annot.rotations.groups import ALL_ROTATIONS, CIRCLE_STEPS
 
 
 def symmetries_to_json(found: Symmetries) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.find import DEFAULT_TOLERANCE
-from symsol_annot.objects.finding.found import ALL_ROTATIONS, CertifiedGroup, Group, Symmetries
+from symsol_annot.objects.finding.found import CertifiedGroup, Group, Symmetries
 from symsol_annot.objects.finding.surface import make_surface
 from symsol_annot.objects.finding.symmetries import find_symmetries
 from symsol_annot.objects.importing.object_writing import ObjectDraft
@@ -22,6 +22,7 @@ from symsol_annot.objects.mesh_files.mesh_file import MeshFile
 from symsol_annot.objects.mesh_files.reading import read_mesh_file
 from symsol_annot.objects.obj_file import MAX_TRIANGLES
 from symsol_annot.objects.parts import MAX_PARTS
+from symsol_annot.rotations.groups import ALL_ROTATIONS
 from symsol_annot.rotations.so3 import Rotations
 
 Indices = npt.NDArray[np.intp]

@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from symsol_annot.errors import OutputError, output_errors
 from symsol_annot.objects.checking.check import check_object
-from symsol_annot.objects.finding.found import CIRCLE, CIRCLE_STEPS, CIRCLE_WITH_HALF_TURNS, Group
+from symsol_annot.objects.finding.found import CIRCLE, CIRCLE_WITH_HALF_TURNS, Group
 from symsol_annot.objects.parts import DEFAULT_TOLERANCE_PX, Colour
 from symsol_annot.objects.spec import ObjectSpec, read_object
+from symsol_annot.rotations.groups import CIRCLE_STEPS
 from symsol_annot.system.checksums import changed_in, names_in, read_list, to_list
 from symsol_annot.system.files import new_folder, replaced_folder
 from symsol_annot.system.text.toml import MAX_TITLE

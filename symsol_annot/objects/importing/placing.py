@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from symsol_annot.objects.finding.found import CIRCLE_STEPS, CertifiedGroup
+from symsol_annot.objects.finding.found import CertifiedGroup
 from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
 from symsol_annot.objects.part_symmetries import carried_onto
+from symsol_annot.rotations.groups import CIRCLE_STEPS
 from symsol_annot.rotations.so3 import Rotations, rotations_about
 
 Points = npt.NDArray[np.float64]

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from symsol_annot.objects.finding.found import ALL_ROTATIONS
 from symsol_annot.objects.group_toml import MAX_GROUP_ORDER
 from symsol_annot.objects.mesh import BODY_ID
 from symsol_annot.objects.parts import MAX_PARTS, Colour
 from symsol_annot.objects.spec import ObjectSpec
-from symsol_annot.rotations.groups import nearest_element
+from symsol_annot.rotations.groups import ALL_ROTATIONS, nearest_element
 from symsol_annot.system.text.names import is_object_name
 
 _MOST_NAMES = 4  # that are listed

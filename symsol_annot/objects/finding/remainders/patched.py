@@ -16,9 +16,9 @@ from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.axes import angles_and_axes
 from symsol_annot.objects.finding.distance.distances import SurfaceDistance
 from symsol_annot.objects.finding.found import CertifiedGroup, Group, LargerGroup
-from symsol_annot.objects.finding.kinds import fitted_group, frame_about
+from symsol_annot.objects.finding.kinds import fitted_group
 from symsol_annot.objects.finding.surface import Flags, Points, Surface
-from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.rotations.so3 import Rotations, frame_about
 
 _PLANE = 1e-4  # of normals and of levels in radii: faces in one plane
 _MOST_PLANES, _LEAST_AREA = 60, 0.004  # of the whole area

@@ -20,12 +20,11 @@ from symsol_annot.objects.finding.found import (
     LargerGroup,
     Roundness,
 )
-from symsol_annot.objects.finding.kinds import frame_about
 from symsol_annot.objects.finding.remainders.patched import off_flat_faces
 from symsol_annot.objects.finding.remainders.revolution import Revolution, revolutions
 from symsol_annot.objects.finding.remainders.roundness import roundness
 from symsol_annot.objects.finding.surface import Flags, Points, Surface
-from symsol_annot.rotations.so3 import Rotations, rotations_about
+from symsol_annot.rotations.so3 import Rotations, frame_about, rotations_about
 
 NOT_LOOKED_FOR = ("finite groups of what is left of a connected surface that is mostly curved",)
 _MOST_SETS = 10  # of components that are taken away, one by one

@@ -4,10 +4,10 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.objects.finding.distance.distances import SurfaceDistance, point_to_triangle
-from symsol_annot.objects.finding.found import ALL_ROTATIONS, CIRCLE, CIRCLE_WITH_HALF_TURNS, Group, Roundness
-from symsol_annot.objects.finding.kinds import frame_about
+from symsol_annot.objects.finding.found import CIRCLE, CIRCLE_WITH_HALF_TURNS, Group, Roundness
 from symsol_annot.objects.finding.surface import Points, Surface
-from symsol_annot.rotations.so3 import Rotations, rotations_about
+from symsol_annot.rotations.groups import ALL_ROTATIONS
+from symsol_annot.rotations.so3 import Rotations, frame_about, rotations_about
 
 MOST_OFF_ROUND = 0.02  # of the radius: what is farther off is not called round
 _GENERIC_TURNS = np.array([0.1234, 0.7071, 1.1, 1.9, 2.357, 3.3, 4.04, 5.5])  # rad, not parts of a full turn
