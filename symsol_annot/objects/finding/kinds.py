@@ -5,13 +5,17 @@ import numpy.typing as npt
 
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.axes import angles_and_axes
-from symsol_annot.objects.finding.found import Group, trivial_group
+from symsol_annot.objects.finding.found import CIRCLE_STEPS, Group, trivial_group
 from symsol_annot.objects.finding.surface import Points
+from symsol_annot.objects.part_symmetries import lands_on
+from symsol_annot.objects.surface import SURFACE_TOLERANCE
 from symsol_annot.rotations.groups import GROUP_KINDS, icosahedral_group, octahedral_group
-from symsol_annot.rotations.so3 import Angles, Rotations
+from symsol_annot.rotations.so3 import Angles, Rotations, rotations_about
 
 _PARALLEL = np.cos(0.03)
 _HALF_TURN = np.radians(170.0)  # of the groups' angles, those beyond it are half turns, or by steps of a large circle
+_NO_TURN = 1e-4  # rad: less is none
+_DECIMALS = 9  # of vertices, as meshes have them
 _LEAST_SHARE = 0.7  # of a group's elements that must be there, or the tolerance has told them apart badly
 
 
@@ -55,6 +59,25 @@ def frame_about(z: Points, x: Points | None = None) -> Rotations:
             across /= np.linalg.norm(across)
             return np.stack([across, np.cross(z, across), z], axis=1)
     return np.eye(3)
+
+
+def order_about(axis: Points, triangles: Points) -> int:
+    """Return how many turns about an axis (3,) map triangles (T, 3, 3) onto themselves; 360 where a circle does.
+
+    They carry the corner farthest from the axis onto others that are as far, so that few have to be tried.
+    """
+    x, y, _ = (np.unique(triangles.reshape(-1, 3).round(_DECIMALS), axis=0) @ frame_about(axis)).T
+    radius, azimuth = np.hypot(x, y), np.arctan2(y, x)
+    farthest = azimuth[radius >= radius.max() - SURFACE_TOLERANCE]
+    turns = np.sort((farthest - farthest[0]) % (2.0 * np.pi))
+    for turn in turns[turns > _NO_TURN].tolist():
+        order = round(2.0 * np.pi / turn)
+        generator = rotations_about(axis, 2.0 * np.pi / order)
+        if abs(2.0 * np.pi / order - turn) * radius.max() <= SURFACE_TOLERANCE and lands_on(
+            triangles, triangles, generator
+        ):
+            return CIRCLE_STEPS if order % CIRCLE_STEPS == 0 else order
+    return 1
 
 
 def _cyclic(z: Points, order: int) -> Group:
