@@ -144,9 +144,10 @@ def import_in_words(imported: "ImportedObject", spec: ObjectSpec) -> list[str]:
     for number, part in enumerate(spec.parts, start=1):
         kept = ", breaks the symmetry" if number in spec.mesh.breaking and spec.marking is not None else ""
         lines.append(f"part {number:<8}{part.name}: {(spec.mesh.part_ids == number).sum()} triangles{kept}")
-    lines.append(
-        f"symmetries   {len(spec.stabiliser)} of {len(spec.symmetry_group)} rotations leave all parts in place"
-    )
+    among = "turns that keep one part each" if spec.has_all_rotations else "rotations"
+    kept = f"{len(spec.stabiliser)} of {len(spec.symmetry_group)} {among} leave all parts in place"
+    is_plain_ball = spec.has_all_rotations and spec.marking is None
+    lines.append(f"symmetries   {'all rotations leave it in place' if is_plain_ball else kept}")
     lines += [f"mended       {note}" for note in imported.notes]
     x, y, z = (0.0 if abs(value) < 1e-9 * imported.scale else value for value in imported.centre)
     lines.append(

@@ -21,7 +21,7 @@ from symsol_annot.system.files import write_atomically
 @TOLERANCE
 @click.option(
     "--round-within",
-    type=click.FloatRange(0, 0.02),
+    type=click.FloatRange(0, 0.018),
     help="Take facets for round where they are no farther from it than this part of the radius.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -52,13 +52,12 @@ def symmetries(
     MESH is a file (OBJ, STL, PLY, OFF, GLB), an object's folder, or the name of a built-in object. Lengths are printed
     as parts of its radius, which is measured from its group's fixed point.
     """
-    if folder is not None and (round_within is not None or not is_mesh_name(mesh)):
-        raise click.UsageError(
-            "--write makes an object of a mesh file as it is, so not of an object, nor with --round-within"
-        )
+    if folder is not None and not is_mesh_name(mesh):
+        raise click.UsageError("--write makes an object of a mesh file, so not of an object")
     from symsol_annot.objects.finding.record import bop_model_info, symmetries_to_json  # noqa: PLC0415 - takes scipy
     from symsol_annot.objects.finding.symmetries import find_symmetries  # noqa: PLC0415
     from symsol_annot.objects.reading import read_any_surface  # noqa: PLC0415
+    from symsol_annot.rotations.groups import ALL_ROTATIONS  # noqa: PLC0415 - takes scipy
 
     surface = read_any_surface(mesh)
     found = find_symmetries(surface, tolerance, round_within=round_within)
@@ -71,7 +70,7 @@ def symmetries(
     if folder is not None:
         from symsol_annot.objects.importing.importing import ImportOptions  # noqa: PLC0415
 
-        options = ImportOptions(tolerance=tolerance)
+        options = ImportOptions(tolerance=tolerance, round_within=round_within)
         lines = write_import(Path(mesh), folder, object_name(folder.resolve().name), options, drawn=False)
         say(lines[-1], err=as_json)
     if bop is not None:
@@ -79,6 +78,11 @@ def symmetries(
         entries[str(number)] = bop_model_info(surface, found)
         write_atomically(bop, (json.dumps(entries, indent=2) + "\n").encode())
         say(f"wrote {bop}: model {number}", err=as_json)
+        if found.object.kind == ALL_ROTATIONS:
+            say(
+                "  BOP cannot list SO(3): it holds the turns about three axes, and no rotations between them",
+                err=as_json,
+            )
 
 
 def _entries_of(path: Path) -> dict[str, object]:

@@ -13,15 +13,13 @@ import numpy.typing as npt
 
 from symsol_annot.objects.mesh import BODY_ID, Mesh
 from symsol_annot.objects.object_toml import ObjectToml
-from symsol_annot.objects.part_symmetries import lands_on, moments_of
+from symsol_annot.objects.part_symmetries import moments_of, order_about
 from symsol_annot.objects.parts import Part
-from symsol_annot.objects.surface import SURFACE_TOLERANCE
-from symsol_annot.rotations.groups import ALL_ROTATIONS, CIRCLE_STEPS, GROUP_KINDS, cyclic_group
-from symsol_annot.rotations.so3 import Rotations, frame_about, rotations_about
+from symsol_annot.rotations.groups import ALL_ROTATIONS, GROUP_KINDS, cyclic_group
+from symsol_annot.rotations.so3 import Rotations
 
 Flags = npt.NDArray[np.bool_]
 
-_A_TURN = 1e-4  # rad: less is none
 _OFF_MIDDLE = 1e-3  # radii from the ball's middle, under which a centroid gives no direction
 _DECIMALS = 9  # of an axis, as meshes have them: its last bits depend on the order of a sum
 _SAME = 1e-6  # Frobenius distance of rotations that are one
@@ -85,26 +83,7 @@ def _turns_of(toml: ObjectToml, mesh: Mesh, parts: tuple[Part, ...], part: int) 
             "may keep it in place; such a part is not read yet. Make pieces of it parts, each in a colour of its own",
         )
     axis = np.round(centroid / distance, _DECIMALS)
-    return cyclic_group(_order_about(axis, triangles), axis)
-
-
-def _order_about(axis: npt.NDArray[np.float64], triangles: npt.NDArray[np.float64]) -> int:
-    """Return how many turns about an axis (3,) map triangles (T, 3, 3) onto themselves; 360 where a circle does.
-
-    They carry the corner farthest from the axis onto others that are as far, so that few have to be tried.
-    """
-    x, y, _ = (np.unique(triangles.reshape(-1, 3).round(_DECIMALS), axis=0) @ frame_about(axis)).T
-    radius, azimuth = np.hypot(x, y), np.arctan2(y, x)
-    farthest = azimuth[radius >= radius.max() - SURFACE_TOLERANCE]
-    turns = np.sort((farthest - farthest[0]) % (2.0 * np.pi))
-    for turn in turns[turns > _A_TURN].tolist():
-        order = round(2.0 * np.pi / turn)
-        generator = rotations_about(axis, 2.0 * np.pi / order)
-        if abs(2.0 * np.pi / order - turn) * radius.max() <= SURFACE_TOLERANCE and lands_on(
-            triangles, triangles, generator
-        ):
-            return CIRCLE_STEPS if order % CIRCLE_STEPS == 0 else order
-    return 1
+    return cyclic_group(order_about(axis, triangles), axis)
 
 
 def _is_among(rotations: Rotations, others: Rotations) -> Flags:

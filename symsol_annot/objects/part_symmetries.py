@@ -10,12 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from symsol_annot.objects.surface import SURFACE_TOLERANCE, Points, surface_offsets, surface_points
-from symsol_annot.rotations.groups import nearest_element
-from symsol_annot.rotations.so3 import Rotations, angle_between
+from symsol_annot.rotations.groups import CIRCLE_STEPS, nearest_element
+from symsol_annot.rotations.so3 import Rotations, angle_between, frame_about, rotations_about
 
 Flags = npt.NDArray[np.bool_]
 
 _SAME = 1e-6  # of two elements' matrices
+_NO_TURN = 1e-4  # rad: less is none
+_DECIMALS = 9  # of vertices, as meshes have them
 _FEW_POINTS = 4  # that most rotations move off the part
 _MOMENT_SLACK = 1e-4  # of centroids and second moments, beyond what the surface's tolerance can move them by
 
@@ -97,3 +99,22 @@ def moments_of(triangles: Points) -> tuple[float, Points, Points]:
     centroid = areas @ sums / (3.0 * total)
     squares = np.einsum("tci,tcj->tij", triangles, triangles) + np.einsum("ti,tj->tij", sums, sums)
     return total, centroid, np.einsum("t,tij->ij", areas, squares) / (12.0 * total)
+
+
+def order_about(axis: Points, triangles: Points) -> int:
+    """Return how many turns about an axis (3,) map triangles (T, 3, 3) onto themselves; 360 where a circle does.
+
+    They carry the corner farthest from the axis onto others that are as far, so that few have to be tried.
+    """
+    x, y, _ = (np.unique(triangles.reshape(-1, 3).round(_DECIMALS), axis=0) @ frame_about(axis)).T
+    radius, azimuth = np.hypot(x, y), np.arctan2(y, x)
+    farthest = azimuth[radius >= radius.max() - SURFACE_TOLERANCE]
+    turns = np.sort((farthest - farthest[0]) % (2.0 * np.pi))
+    for turn in turns[turns > _NO_TURN].tolist():
+        order = round(2.0 * np.pi / turn)
+        generator = rotations_about(axis, 2.0 * np.pi / order)
+        if abs(2.0 * np.pi / order - turn) * radius.max() <= SURFACE_TOLERANCE and lands_on(
+            triangles, triangles, generator
+        ):
+            return CIRCLE_STEPS if order % CIRCLE_STEPS == 0 else order
+    return 1

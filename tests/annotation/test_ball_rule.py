@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from balls import CAP, CAP_FACES, MARKED, BallRenderer, ball, ball_toml
+from balls import CAP, CAP_FACES, FLAG, MARKED, MERIDIANS, BallRenderer, ball, ball_toml
 from parted_objects import drawn_set
 
 from symsol_annot.annotation.annotator import Annotator
@@ -55,6 +55,23 @@ def test_sets_of_views_that_show_a_part_are_those_of_all_candidates_drawn_whole(
             assert ((parts_px > 0) & (parts_px < 4)).any() or np.array_equal(annotation.mask, drawn)
             sizes.add(int(annotation.mask.sum()))
     assert len(sizes) >= 2
+
+
+def test_parts_that_no_turn_keeps_in_place_leave_the_view_itself_where_one_of_them_shows(tmp_path):
+    corner = np.array([0, 1, MERIDIANS])  # three faces around a corner
+    paint = {"red": corner + 3 * MERIDIANS, "blue": corner + 6 * MERIDIANS + MERIDIANS // 2}
+    spec = made(tmp_path, ball_toml(CAP, FLAG), ball(paint))
+    assert len(spec.symmetry_group) == 1
+    renderer = BallRenderer(spec, CAMERA)
+    annotator = Annotator.for_object(spec, CAMERA, SETTINGS, renderer)
+    shown = set()
+    for R in rotations_seen_from(np.array([[0.9, 0.3, 0.3], [-0.9, -0.3, -0.3]])):
+        view = renderer.render(R)
+        shown.add(tuple(view.part_pixels[1:] > 0))
+        annotation = annotator.annotate(R, annotator.shown_px(R, view), view)
+        assert annotation.mask.tolist() == [True]
+        assert annotation.volume is None
+    assert shown == {(True, False), (False, True)}
 
 
 def test_views_that_show_nothing_have_one_and_the_same_volume_and_themselves_as_members(seen):

@@ -109,6 +109,16 @@ def test_bop_s_continuous_symmetry_has_the_axis_and_its_place(call, tmp_path):
     assert np.allclose(entry["offset"][:2], [3, 4])
 
 
+def test_of_a_ball_an_object_is_written_and_what_bop_cannot_say_is_said(call, tmp_path):
+    angles = np.linspace(0, np.pi, 25)
+    profile = [(0, -1), *zip(np.sin(angles[1:-1]), -np.cos(angles[1:-1]), strict=True), (0, 1)]
+    words = ["--round-within", "0.01", "--bop", "models_info.json", "--write", "made"]
+    printed = call(lathe(profile, 32), *words)
+    assert "BOP cannot list SO(3)" in printed
+    assert len(json.loads((tmp_path / "models_info.json").read_text())["1"]["symmetries_continuous"]) == 3
+    assert read_object(tmp_path / "made").has_all_rotations
+
+
 def test_other_models_in_the_file_stay_and_a_file_of_another_kind_is_not_touched(call, tmp_path):
     path = tmp_path / "models_info.json"
     path.write_text('{"3": {"diameter": 5}}')

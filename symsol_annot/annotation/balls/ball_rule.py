@@ -89,6 +89,8 @@ class BallRule:
     def _hidden_px(self, candidates: Rotations, is_hidden: npt.NDArray[np.bool_]) -> Areas:
         """Return the areas (n,) in pixels under candidates (n, 3, 3) of the parts (B,) that the image hides."""
         areas = np.zeros(len(candidates))
+        if not len(candidates):  # parts that no turn keeps in place
+            return areas
         for place in np.flatnonzero(is_hidden).tolist():
             areas += self._areas_of(place, candidates)
         undecided = np.isnan(areas)

@@ -9,7 +9,7 @@ import numpy as np
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.found import Group, LargerGroup, Symmetries
 from symsol_annot.objects.finding.kinds import fitted_group
-from symsol_annot.objects.finding.remainders.roundness import off_ball
+from symsol_annot.objects.finding.remainders.roundness import NEARLY_BALL, off_ball
 from symsol_annot.objects.finding.report import axis_in_words, is_close
 from symsol_annot.objects.finding.surface import Points, Surface
 from symsol_annot.objects.finding.symmetries import find_symmetries
@@ -22,7 +22,6 @@ _SAME = 1e-3  # Frobenius distance of elements of a declared and of a found grou
 _STEP = 0.02  # Frobenius distance, half a step of a circle by degrees and a little more
 _SOME = 24  # elements that are held against the centre
 _OFF_CENTRE = 1e-3  # radii that a declared rotation may move the fixed point of what was found
-_NEARLY_BALL = 1e-3  # radii off a ball, an eighth of a pixel, that nobody sees
 
 
 def group_field(spec: ObjectSpec) -> str:
@@ -37,7 +36,7 @@ def refuse_balls(spec: ObjectSpec, shell: Surface) -> None:
         ObjectError: it is a ball about the origin, as far as anybody sees.
     """
     thickness = off_ball(shell)
-    if thickness <= max(_NEARLY_BALL, spec.max_offset):
+    if thickness <= max(NEARLY_BALL, spec.max_offset):
         by_offset = f" and max_offset = {1.1 * thickness:.2g}" if thickness > SURFACE_TOLERANCE else ""
         raise ObjectError(
             f"{spec.folder}: {spec.name!r} is a ball within {thickness:.2g} of its radius: any rotation leaves it as "
@@ -141,15 +140,24 @@ def _has_all(spec: ObjectSpec, group: Group, centre: Points) -> bool:
 
 
 def _too_small(spec: ObjectSpec, found: Symmetries) -> str:
+    count = "more" if found.object.is_continuous else f"{len(found.object.rotations):,}"
     return (
         f"{spec.folder}: {group_field(spec)} of {spec.name!r} declares {_declared(spec)}, but the surface has "
-        f"{len(found.object.rotations):,}: {what_it_has(found)}. Symmetry sets would lack the others. Declare that "
+        f"{count}: {what_it_has(found)}. Symmetry sets would lack the others. Declare that "
         "group; `symsol-annot symmetries MESH --write FOLDER` turns a mesh to the axes of object.toml and writes it"
     )
 
 
 def _larger_behind_faces(spec: ObjectSpec, larger: LargerGroup) -> str:
     group, nearly = larger.as_it_is, larger.group
+    if group.kind == ALL_ROTATIONS:
+        return (
+            f"{spec.folder}: {group_field(spec)} of {spec.name!r} declares {_declared(spec)}, but what is left without "
+            f"{larger.what}, {larger.area_left:.0%} of the surface, is a ball, which any rotation leaves as it is. "
+            "Where those faces are out of sight, symmetry sets would lack nearly all rotations. Make them a [[part]] "
+            "of an object.toml of format version 2, a closed surface of its own that may reach into the ball, and "
+            f'declare kind = "{ALL_ROTATIONS}" for the rest'
+        )
     by_steps = " A circle is declared by order = 360" * group.is_continuous
     name = (
         group.name if group.kind == nearly.kind or not nearly.is_continuous else f"{group.name}, nearly {nearly.name}"

@@ -209,7 +209,7 @@ class Symmetries:
         roundness: how round it is, where it nearly is.
         larger: larger groups of what is left without some faces.
         radius: the largest distance of the surface from the centre, in the mesh's unit.
-        tolerance: up to which a candidate counts as a symmetry, in radii.
+        tolerance: up to which a candidate counts as a symmetry, in radii; of a ball, how far from round it may be.
         not_looked_for: in words, what may be there and was not looked for.
     """
 

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.candidates import hull_corners
 from symsol_annot.objects.finding.found import CIRCLE_WITH_HALF_TURNS, CertifiedGroup, Group, Symmetries
 from symsol_annot.objects.finding.surface import Points, Surface
@@ -61,13 +60,9 @@ def bop_model_info(surface: Surface, found: Symmetries) -> dict[str, Any]:
     """Return a model's entry of BOP's models_info.json: its size, and the symmetries of the object with its parts.
 
     A symmetry is x -> R x + t in the mesh's own unit, which BOP has in millimetres.
-
-    Raises:
-        ObjectError: the object has all rotations, which BOP's format cannot say.
+    All rotations, which that format cannot say, are stated as the circles about three axes.
     """
     group, centre = found.object, found.shape.centre
-    if group.kind == ALL_ROTATIONS:
-        raise ObjectError("the object has all rotations as symmetries, which BOP's models_info.json has no way to say")
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     corners = hull_corners(surface.vertices).points
     info: dict[str, Any] = {"diameter": float(pdist(corners).max()) if len(corners) <= 4_000 else _diameter(corners)}
@@ -75,7 +70,8 @@ def bop_model_info(surface: Surface, found: Symmetries) -> dict[str, Any]:
     info |= {f"size_{axis}": float(value) for axis, value in zip("xyz", high - low, strict=True)}
     discrete = group.rotations[1:]
     if group.is_continuous:
-        info["symmetries_continuous"] = [{"axis": group.frame[:, 2].tolist(), "offset": centre.tolist()}]
+        axes = np.eye(3) if group.kind == ALL_ROTATIONS else group.frame[:, 2:].T
+        info["symmetries_continuous"] = [{"axis": axis, "offset": centre.tolist()} for axis in axes.tolist()]
         half_turn = group.rotations[CIRCLE_STEPS : CIRCLE_STEPS + 1]
         discrete = half_turn if group.kind == CIRCLE_WITH_HALF_TURNS else discrete[:0]
     if len(discrete):

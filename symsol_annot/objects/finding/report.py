@@ -3,6 +3,7 @@
 import numpy as np
 
 from symsol_annot.objects.finding.found import Axis, CertifiedGroup, Group, LargerGroup, Roundness, Symmetries
+from symsol_annot.rotations.groups import ALL_ROTATIONS
 
 _CLOSE = 10.0  # a residual within this factor of the tolerance is said to be close to it
 
@@ -44,6 +45,11 @@ def axis_in_words(axis: Axis) -> str:
 
 
 def _certainty(shape: CertifiedGroup, tolerance: float) -> list[str]:
+    if shape.group.kind == ALL_ROTATIONS:
+        return [
+            f"certainty    no rotation carries points more than {shape.residual:.2g} off it; allowed {tolerance:g}",
+            "next         no candidate is left: all rotations are in the group",
+        ]
     bound = f"points are carried {shape.residual:.2g} off the surface"
     if not shape.group.is_continuous and shape.group.size != 1:
         bound += f", at most {max(shape.bound, shape.residual):.2g} anywhere"
@@ -70,11 +76,11 @@ def is_close(shape: CertifiedGroup, tolerance: float) -> bool:
 def _roundness_in_words(nearly: Roundness) -> str:
     return (
         f"round        {nearly.group.name} within {nearly.deviation:.2g}: "
-        f"--round-within {_rounded_up(nearly.deviation):g} takes it so"
+        f"--round-within {rounded_up(nearly.deviation):g} takes it so"
     )
 
 
-def _rounded_up(value: float) -> float:
+def rounded_up(value: float) -> float:
     """Return a value with two digits that is no smaller; 1e-9 for nothing."""
     if value < 1e-9:
         return 1e-9

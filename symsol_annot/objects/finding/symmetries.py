@@ -2,10 +2,12 @@
 
 import numpy as np
 
+from symsol_annot.objects.finding.ball_parts import parts_of_ball
 from symsol_annot.objects.finding.distance.verifying import Verifier
 from symsol_annot.objects.finding.find import DEFAULT_TOLERANCE, find_group
 from symsol_annot.objects.finding.found import CertifiedGroup, Group, PartSymmetry, Roundness, Symmetries
 from symsol_annot.objects.finding.kinds import fitted_group
+from symsol_annot.objects.finding.remainders.balls import Ball, ball_limit, ball_of
 from symsol_annot.objects.finding.remainders.remainder import NOT_LOOKED_FOR, larger_groups
 from symsol_annot.objects.finding.remainders.roundness import roundness
 from symsol_annot.objects.finding.search import search_group
@@ -25,12 +27,16 @@ def find_symmetries(
     Args:
         surface: in any unit and place.
         tolerance: how far a symmetry may carry a point from the surface, in radii of the surface about its centre.
-        round_within: how far from round a surface of facets may be, in radii, to count as round; None: as it is.
+        round_within: how far from round a surface of facets may be, in radii, to count as round; None: as it is,
+            unless it is a ball as far as anybody sees.
         looks_for_larger: whether to look for larger groups of what is left without some faces.
 
     Raises:
         ObjectError: it is flat, or like a ball, or what passes is no group at this tolerance.
     """
+    ball = ball_of(surface, ball_limit(round_within))
+    if ball is not None:
+        return _of_ball(surface, ball, tolerance, ball_limit(round_within))
     shape = find_group(surface.without_parts(), tolerance)
     radius = float(np.linalg.norm(surface.vertices - shape.centre, axis=1).max())
     placed = surface.placed(shape.centre, radius)
@@ -38,9 +44,19 @@ def find_symmetries(
     if nearly is not None and round_within is not None and nearly.deviation <= round_within:
         shape = _as_round(shape, nearly)
     parts, of_object = _parts(placed, shape.group, max(tolerance, shape.residual))
-    larger = larger_groups(surface, shape, nearly, tolerance) if looks_for_larger else ()
+    larger = larger_groups(surface, shape, nearly, tolerance, ball_limit(round_within)) if looks_for_larger else ()
     missing = NOT_LOOKED_FOR if looks_for_larger else ("larger groups of what is left without some faces",)
     return Symmetries(shape, of_object, parts, nearly, larger, radius, tolerance, missing)
+
+
+def _of_ball(surface: Surface, ball: Ball, tolerance: float, within: float) -> Symmetries:
+    """Return what is found of a ball: it has all rotations, so that no group is larger, whatever is left."""
+    parts: tuple[PartSymmetry, ...] = (PartSymmetry(surface.part_names[0], len(surface.triangles), ball.group, 0.0),)
+    of_object = ball.group
+    if len(surface.part_names) > 1:
+        parts, of_object = parts_of_ball(surface.placed(ball.centre, ball.radius), tolerance)
+    nearly = Roundness(ball.group, ball.deviation)
+    return Symmetries(ball.certified, of_object, parts, nearly, (), ball.radius, within, ())
 
 
 def _as_round(shape: CertifiedGroup, nearly: Roundness) -> CertifiedGroup:
@@ -54,8 +70,6 @@ def _parts(placed: Surface, group: Group, tolerance: float) -> tuple[tuple[PartS
     count = len(placed.part_names)
     if count == 1:
         return (PartSymmetry(placed.part_names[0], len(placed.triangles), group, 0.0),), group
-    if group.kind == "so3":
-        group = find_group(placed, tolerance).group
     R = group.rotations
     R = R[np.argsort(np.linalg.norm(R - np.eye(3), axis=(1, 2)), kind="stable")]
     parts, keeps_all = [], np.ones(len(R), dtype=bool)

@@ -10,7 +10,9 @@ import numpy.typing as npt
 from symsol_annot.errors import ObjectError
 from symsol_annot.objects.finding.find import DEFAULT_TOLERANCE
 from symsol_annot.objects.finding.found import CertifiedGroup, Group, Symmetries
-from symsol_annot.objects.finding.surface import make_surface
+from symsol_annot.objects.finding.remainders.balls import ball_limit, ball_of
+from symsol_annot.objects.finding.report import rounded_up
+from symsol_annot.objects.finding.surface import Surface, make_surface
 from symsol_annot.objects.finding.symmetries import find_symmetries
 from symsol_annot.objects.importing.object_writing import ObjectDraft
 from symsol_annot.objects.importing.parting import WHOLE, Parting, body_index, parted
@@ -28,6 +30,8 @@ from symsol_annot.rotations.so3 import Rotations
 Indices = npt.NDArray[np.intp]
 Flags = npt.NDArray[np.bool_]
 
+MOST_ROUND_WITHIN = 0.018  # radii: max_offset is a tenth more, and at most 0.02
+
 
 @dataclass(frozen=True)
 class ImportOptions:
@@ -37,7 +41,8 @@ class ImportOptions:
         parts: what tells the parts, one of PARTS_CHOICES.
         body: the name of the part that is the body; None for the largest.
         tolerance: how far a symmetry may carry a point from the surface, in radii.
-        round_within: how far from round a body of facets may be, in radii, to count as round; None: as it is.
+        round_within: how far from round a body of facets may be, in radii, to count as round; None: as it is, unless
+            it is a ball as far as anybody sees.
     """
 
     parts: str = "auto"
@@ -184,7 +189,26 @@ def _body(
     is_body = np.isin(shell_of, np.unique(shell_of[parts.part_of == body]))  # with what is painted on it
     triangles = soup.triangles[is_body]
     surface = make_surface(soup.vertices, triangles, np.zeros(len(triangles), dtype=np.intp), (WHOLE,))
+    _refuse_coarse_ball(surface, options.round_within)
     return body, is_body, find_symmetries(surface, options.tolerance, round_within=options.round_within)
+
+
+def _refuse_coarse_ball(surface: Surface, round_within: float | None) -> None:
+    """Refuse a ball of facets that are farther off round than is allowed; 0 takes facets as they are.
+
+    Whether its facets are meant, nobody knows but the user, and finding their group takes minutes.
+    """
+    ball, allowed = ball_of(surface), ball_limit(round_within)
+    if ball is None or allowed == 0 or ball.deviation <= allowed:
+        return
+    needed = rounded_up(ball.deviation)
+    is_allowed = needed <= MOST_ROUND_WITHIN
+    by_option = f"--round-within {needed:g} takes it for one, " if is_allowed else ""
+    raise ObjectError(
+        f"the body is too coarse for a ball: its facets are up to {ball.deviation:.2g} of the radius off one, "
+        f"{ball.deviation / allowed:.2g} times the {allowed:g} that is allowed; give it finer facets, or import it "
+        f"with `symsol-annot import-object`: its option {by_option}--round-within 0 takes its facets as they are"
+    )
 
 
 def _lacks_components(found: Symmetries, shell_of: Indices) -> bool:
@@ -208,19 +232,20 @@ def _claim(found: Symmetries, vertices: npt.NDArray[np.float64]) -> _Claim:
         vertices: (n, 3) of the body.
 
     Raises:
-        ObjectError: it is a ball.
+        ObjectError: it is a ball but for some faces, which are no part.
     """
     if found.larger:
         one = found.larger[0]
+        if one.group.kind == ALL_ROTATIONS:
+            raise ObjectError(
+                f"the body has {one.group.name}, but for {one.what}: make them a part, a closed surface of its "
+                "own that may reach into the ball"
+            )
         group = one.as_it_is if one.as_it_is.contains(found.shape.group) else one.group
         steps = steps_of_circle((vertices - one.centre) @ group.frame) if group.is_continuous else None
         shape = replace(found.shape, group=group, centre=one.centre, residual=0.0)
         return _Claim(shape, of_body=False, max_offset=0.0, steps=steps)
     nearly, shape = found.roundness, found.shape
-    if shape.group.kind == ALL_ROTATIONS:
-        raise ObjectError(
-            "the body is nearly a ball, which any rotation leaves as it is; such objects are not rendered yet"
-        )
     max_offset = 1.1 * nearly.deviation if nearly is not None and shape.group.is_continuous else 0.0
     return _Claim(shape, of_body=True, max_offset=max_offset)
 

@@ -16,7 +16,7 @@ from symsol_annot.objects.checking.check import check_object
 from symsol_annot.objects.finding.found import CIRCLE, CIRCLE_WITH_HALF_TURNS, Group
 from symsol_annot.objects.parts import DEFAULT_TOLERANCE_PX, Colour
 from symsol_annot.objects.spec import ObjectSpec, read_object
-from symsol_annot.rotations.groups import CIRCLE_STEPS
+from symsol_annot.rotations.groups import ALL_ROTATIONS, CIRCLE_STEPS
 from symsol_annot.system.checksums import changed_in, names_in, read_list, to_list
 from symsol_annot.system.files import new_folder, replaced_folder
 from symsol_annot.system.text.toml import MAX_TITLE
@@ -128,7 +128,8 @@ def _group_lines(draft: ObjectDraft) -> list[str]:
     group = draft.group
     kinds = {CIRCLE: "cyclic", CIRCLE_WITH_HALF_TURNS: "dihedral"}
     lines = [f'kind = "{kinds.get(group.kind, group.kind)}"']
-    order = (draft.steps or CIRCLE_STEPS) if group.is_continuous else group.order
+    is_circle = group.is_continuous and group.kind != ALL_ROTATIONS
+    order = (draft.steps or CIRCLE_STEPS) if is_circle else group.order
     lines += [] if order is None else [f"order = {order}"]
     return [*lines, f"max_offset = {draft.max_offset:.2g}"] if draft.max_offset > _EXACT else lines
 

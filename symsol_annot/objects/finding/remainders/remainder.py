@@ -20,6 +20,7 @@ from symsol_annot.objects.finding.found import (
     LargerGroup,
     Roundness,
 )
+from symsol_annot.objects.finding.remainders.balls import ball_of, without_bumps
 from symsol_annot.objects.finding.remainders.patched import off_flat_faces
 from symsol_annot.objects.finding.remainders.revolution import Revolution, revolutions
 from symsol_annot.objects.finding.remainders.roundness import roundness
@@ -36,7 +37,7 @@ _LEAST_LEFT = 0.5  # of the area: what is less does not dominate
 
 
 def larger_groups(
-    surface: Surface, shape: CertifiedGroup, nearly: Roundness | None, tolerance: float
+    surface: Surface, shape: CertifiedGroup, nearly: Roundness | None, tolerance: float, ball_within: float
 ) -> tuple[LargerGroup, ...]:
     """Return the larger groups of what is left without some faces, those that leave most first.
 
@@ -45,8 +46,10 @@ def larger_groups(
         shape: its group, whatever the parts.
         nearly: what it nearly is as it is; groups in it are not larger.
         tolerance: of a symmetry, in radii.
+        ball_within: how far from a ball what is left may be to count as one, in radii.
     """
-    found = [_of_rest(surface, taken, what, shape, tolerance) for taken, what in _sets(surface)]
+    found = [_of_rest(surface, taken, what, shape, tolerance, ball_within) for taken, what in _sets(surface)]
+    found.append(without_bumps(surface, ball_within))
     is_known = nearly is not None or any(one is not None and one.group.is_continuous for one in found)
     if not is_known:
         found.append(_off_revolution(surface, shape, tolerance))
@@ -81,11 +84,16 @@ def _sets(surface: Surface) -> list[tuple[Flags, str]]:
     return sets
 
 
-def _of_rest(surface: Surface, taken: Flags, what: str, shape: CertifiedGroup, tolerance: float) -> LargerGroup | None:
+def _of_rest(
+    surface: Surface, taken: Flags, what: str, shape: CertifiedGroup, tolerance: float, ball_within: float
+) -> LargerGroup | None:
     area_left = float(surface.areas[~taken].sum() / surface.areas.sum())
     if area_left < _LEAST_LEFT:
         return None
     rest = surface.chosen(~taken)
+    ball = ball_of(rest, ball_within)
+    if ball is not None:
+        return LargerGroup(ball.group, ball.group, ball.centre, surface.source[taken], what, area_left, ball.deviation)
     try:
         found = find_group(rest, tolerance)
     except ObjectError:

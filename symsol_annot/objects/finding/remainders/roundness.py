@@ -10,6 +10,7 @@ from symsol_annot.rotations.groups import ALL_ROTATIONS
 from symsol_annot.rotations.so3 import Rotations, frame_about, rotations_about
 
 MOST_OFF_ROUND = 0.02  # of the radius: what is farther off is not called round
+NEARLY_BALL = 1e-3  # radii off a ball, an eighth of a pixel, that nobody sees
 _GENERIC_TURNS = np.array([0.1234, 0.7071, 1.1, 1.9, 2.357, 3.3, 4.04, 5.5])  # rad, not parts of a full turn
 _EQUAL = 0.02  # relative difference of two principal moments that an axis of revolution makes equal
 _POINTS, _FEW = 240, 16
