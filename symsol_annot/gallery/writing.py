@@ -1,7 +1,7 @@
 """Writing a gallery: a folder with a page, the page's scripts, pictures as PNG and data as scripts.
 
 index.html, assets/             the page, plotly's bundle
-data/index.js                   sets, runs, and one column per filter
+data/index.js                   sets, their volumes, runs, and one column per filter
 data/SHA256SUMS                 the other files, so that the next gallery replaces nothing but this one
 sets/00-cylO-test/00003/        images 300 to 399: labels.js, one run-0.js per run, image-000300.png, ..
 sets/00-cylO-test/redrawn.js    which candidates were drawn again; their pictures beside it
@@ -42,6 +42,7 @@ _LIST = Path("data", "SHA256SUMS")
 _MADE_BY = "symsol-annot gallery"
 _LISTED_NAMES = 5
 _PLOTLY = "plotly.min.js"
+_DOTS_OF_VOLUME = 500  # rotations that show a volume on the page
 _DRAWS_NONE = partial(Redrawer, count=0)
 
 
@@ -162,10 +163,26 @@ def _describe(source: Source, redrawn: Document) -> Document:
         "group": packed(rotation_to_quat_wxyz(truth.labels.symmetry_group), "f4"),
         "stratum": packed(codes[:shown], "u1"),
         "set_size": packed(truth.set_sizes[:shown], "u4"),
+        **_volumes(source, shown),
         **_parts_in_view(source, shown),
         "marking_px": packed(truth.labels.marking_pixels[:shown], "f4"),
         "redrawn": redrawn,
     }
+
+
+def _volumes(source: Source, shown: int) -> Document:
+    """Return the volumes that sets fill, each once, by its share of SO(3) and dots in it, and which each image has."""
+    labels = source.truth.labels
+    if labels.volume is None:
+        return {"volumes": [], "volume": None}
+    volumes = [
+        {
+            "share": number(volume.measure),
+            "quat_wxyz": packed(rotation_to_quat_wxyz(volume.sample(_DOTS_OF_VOLUME, np.random.default_rng(0))), "f4"),
+        }
+        for volume in labels.volumes
+    ]
+    return {"volumes": volumes, "volume": packed(labels.volume[:shown], "i2")}
 
 
 def _parts_in_view(source: Source, shown: int) -> Document:

@@ -106,7 +106,7 @@ def croissant_json(
                 _record_set(name, f"The {split} images of {published.name}.", source, _fields_of(published))
             )
     source = {"fileObject": {"@id": GROUPS_NAME}}
-    of_groups = {**_GROUP_FIELDS, **(_VOLUMES_FIELD if any(map(_fills_volumes, sets)) else {})}
+    of_groups = {**_GROUP_FIELDS, **(_VOLUMES_FIELD if any(one.fills_volumes for one in sets) else {})}
     record_sets.append(
         _record_set(GROUPS_CONFIG, "The symmetry group of each set's body, and its parts.", source, of_groups)
     )
@@ -137,16 +137,8 @@ def _fields_of(published: PublishedSet) -> dict[str, tuple[str, str | None, str]
     described = {"segmentation": f"Grey PNG of ids: 0 background, {ids}."}
     if settings.named_parts:
         described |= _FIELDS_OF_PARTS
-    fields = {**_SAMPLE_FIELDS, **(_VOLUME_FIELD if _fills_volumes(published) else {})}
+    fields = {**_SAMPLE_FIELDS, **(_VOLUME_FIELD if published.fills_volumes else {})}
     return {column: (kind, shape, described.get(column, text)) for column, (kind, shape, text) in fields.items()}
-
-
-def _fills_volumes(published: PublishedSet) -> bool:
-    """Tell whether sets of the images can fill a volume, so that Parquet files have the column `volume`."""
-    settings = published.manifest.settings
-    equality = getattr(settings, "equality", None)
-    is_annotated = any(settings.is_annotated(split) for split in published.splits)
-    return is_annotated and equality is not None and bool(equality.has_all_rotations)
 
 
 def _file(name: str, encoding: str, bundle: Bundle) -> dict[str, Any]:

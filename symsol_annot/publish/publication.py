@@ -15,7 +15,7 @@ from symsol_annot.publish.croissant import CROISSANT_NAME, GROUPS_NAME, croissan
 from symsol_annot.publish.figures import measure
 from symsol_annot.publish.parquet import groups_to_parquet, is_made_from, samples_to_parquet
 from symsol_annot.publish.sets import PublishedSet
-from symsol_annot.publish.webdataset import GROUP_FILE, group_to_npy, samples_to_tar
+from symsol_annot.publish.webdataset import GROUP_FILE, VOLUMES_FILE, group_to_npy, samples_to_tar, volumes_to_npy
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import load
 from symsol_annot.sets.manifest import MANIFEST_NAME
@@ -82,7 +82,8 @@ def _expected(sets: tuple[PublishedSet, ...], *, as_webdataset: bool) -> dict[st
             expected[published.shard_name(entry)] = entry.sha256
             expected[published.parquet_name(entry)] = None
         if as_webdataset:
-            files = (GROUP_FILE, *(entry.file for entry in published.manifest.shards))
+            beside = (GROUP_FILE, VOLUMES_FILE) if published.fills_volumes else (GROUP_FILE,)
+            files = (*beside, *(entry.file for entry in published.manifest.shards))
             expected |= dict.fromkeys(map(published.webdataset_name, files))
     return expected
 
@@ -117,11 +118,14 @@ def _put_archive(bundle: Bundle, published: PublishedSet) -> None:
 
 def _put_webdataset(bundle: Bundle, published: PublishedSet) -> None:
     bundle.put(published.webdataset_name(GROUP_FILE), group_to_npy(_group_of(published)))
+    volumes = _volumes_of(published)
+    if volumes is not None:
+        bundle.put(published.webdataset_name(VOLUMES_FILE), volumes_to_npy(volumes))
     for split in published.splits:
         with load(published.folder, split) as dataset:
             for entry in published.manifest.of_split(split):
                 samples = dataset[entry.first_index : entry.first_index + entry.images]
-                bundle.put(published.webdataset_name(entry.file), samples_to_tar(samples))
+                bundle.put(published.webdataset_name(entry.file), samples_to_tar(samples, volumes))
 
 
 def _volumes_of(published: PublishedSet) -> tuple[Volume, ...] | None:

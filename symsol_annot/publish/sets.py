@@ -32,6 +32,14 @@ class PublishedSet:
         """The splits that it has."""
         return tuple(split for split in SPLITS if self.manifest.images(split))
 
+    @property
+    def fills_volumes(self) -> bool:
+        """Whether sets of the images can fill a volume, so that each image's labels say which."""
+        settings = self.manifest.settings
+        equality = getattr(settings, "equality", None)
+        is_annotated = any(settings.is_annotated(split) for split in self.splits)
+        return is_annotated and equality is not None and bool(equality.has_all_rotations)
+
     def shard_name(self, entry: ShardEntry) -> str:
         """Return the name of a shard in the bundle."""
         return f"data/{self.name}/{entry.file}"

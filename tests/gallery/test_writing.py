@@ -47,6 +47,20 @@ def test_labels_give_every_images_set(gallery, index, data):
             assert angles(members, sample.symmetry_set).max() < 1e-3
 
 
+def test_a_volume_is_there_once_by_its_share_and_rotations_in_it(balls, index):
+    folder, images = balls
+    (about,) = documents(folder / "data" / "index.js")[1]["sets"]
+    labels = images.labels()
+    assert array(about["volume"]).tolist() == labels.volume.tolist()
+    (told,), (volume,) = about["volumes"], labels.volumes
+    assert told["share"] == pytest.approx(volume.measure, rel=1e-5)
+    dots = rotations(told["quat_wxyz"])
+    assert len(dots) == 500
+    assert volume.distance(dots).max() < 1e-5
+    assert {one["volume"] for one in index["sets"]} == {None}  # no set of theirs fills one
+    assert all(one["volumes"] == [] for one in index["sets"])
+
+
 def test_columns_are_those_of_the_csv_of_the_scorer(index, data, preds):
     for name in ("tetX", "cylO"):
         truth = score_file(preds[name], data).truth

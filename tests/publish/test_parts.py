@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from balls import CAP, CAP_FACES, BallRenderer, ball, ball_toml
-from bundles import assert_all_in_tar_files, assert_all_same
+from bundles import assert_all_in_tar_files, assert_all_same, records_in_tar
 from made_sets import make_set, threads
 from mesh_renderer import MeshRenderer
 
@@ -104,22 +104,68 @@ def test_torchs_loader_batches_images_of_parts_with_sets_of_any_size(parted, sam
     assert np.array_equal(stacked["image"], np.stack([sample.image.transpose(2, 0, 1) for sample in samples]))
 
 
-def test_a_balls_mirror_tells_which_volume_each_image_has_and_holds_it_once(tmp_path):
-    (tmp_path / "object.toml").write_text(ball_toml(CAP))
-    (tmp_path / "mesh.obj").write_text(ball({"red": CAP_FACES}))
-    plan = SetPlan(read_object(tmp_path), {"test": 6}, 0, Camera.filling(16), RenderSettings(), "test")
-    generate(plan, tmp_path / "data" / "thing", threads(partial(BallRenderer, plan.spec, plan.camera)))
-    make_set(tmp_path / "data", "tetX", test=3, size=16)
-    publish(sets_in(tmp_path / "data"), tmp_path / "bundle", About())
-    (shard,) = (tmp_path / "bundle" / "parquet" / "thing").glob("test-*.parquet")
-    labels = symsol_annot.load(tmp_path / "data" / "thing", "test").labels()
+@pytest.fixture(scope="module")
+def round_bundle(tmp_path_factory):
+    """A bundle of a ball with a red cap, which some images hide, beside a tetrahedron, whose sets fill no volume."""
+    folder = tmp_path_factory.mktemp("round")
+    (folder / "object.toml").write_text(ball_toml(CAP))
+    (folder / "mesh.obj").write_text(ball({"red": CAP_FACES}))
+    plan = SetPlan(read_object(folder), {"test": 6}, 0, Camera.filling(16), RenderSettings(), "test")
+    generate(plan, folder / "data" / "thing", threads(partial(BallRenderer, plan.spec, plan.camera)))
+    make_set(folder / "data", "tetX", test=3, size=16)
+    publish(sets_in(folder / "data"), folder / "bundle", About(), as_webdataset=True)
+    return folder / "bundle"
+
+
+@pytest.fixture(scope="module")
+def round_samples(round_bundle):
+    samples = symsol_annot.load(round_bundle / "data" / "thing", "test")
+    assert set(samples.labels().volume.tolist()) == {-1, 0}
+    return samples
+
+
+def test_a_balls_mirror_tells_which_volume_each_image_has_and_holds_it_once(round_bundle, round_samples):
+    (shard,) = (round_bundle / "parquet" / "thing").glob("test-*.parquet")
+    labels = round_samples.labels()
     assert pq.read_table(shard)["volume"].to_pylist() == labels.volume.tolist()
-    of_sets = pq.read_table(tmp_path / "bundle" / "parquet" / "symmetry_groups.parquet").to_pylist()
+    of_sets = pq.read_table(round_bundle / "parquet" / "symmetry_groups.parquet").to_pylist()
     (bits,), none = ({row["set"]: row["volumes"] for row in of_sets}[name] for name in ("thing", "tetX"))
     assert none == []
     np.testing.assert_array_equal(np.unpackbits(np.frombuffer(zlib.decompress(bits), np.uint8)), labels.volumes[0].mask)
-    records = json.loads((tmp_path / "bundle" / "croissant.json").read_text())["recordSet"]
+    records = json.loads((round_bundle / "croissant.json").read_text())["recordSet"]
     fields = {field["name"] for record in records for field in record["field"]}
     assert {"thing_test/volume", "symmetry_groups/volumes"} <= fields
     assert "tetX_test/volume" not in fields
-    assert "of all rotations in" in (tmp_path / "bundle" / "README.md").read_text()
+    assert "of all rotations in" in (round_bundle / "README.md").read_text()
+
+
+def test_a_balls_tar_files_tell_which_volume_each_image_has_beside_the_masks(round_bundle, round_samples):
+    folder = round_bundle / "webdataset" / "thing"
+    assert_all_in_tar_files(folder, "test", round_samples)
+    (tar,) = folder.glob("test-*.tar")
+    labels = [json.loads(record["json"]) for record in records_in_tar(tar)]
+    bits = np.load(folder / "volumes.npy")
+    assert bits.shape == (1, 294912)
+    for told, sample in zip(labels, round_samples, strict=True):
+        assert (told["volume"] >= 0) == (sample.volume is not None)
+        if sample.volume is not None:
+            assert np.array_equal(np.unpackbits(bits[told["volume"]]), sample.volume.mask)
+    others = round_bundle / "webdataset" / "tetX"
+    assert sorted(path.suffix for path in others.iterdir()) == [".npy", ".tar"]  # the group alone
+    assert all("volume" not in json.loads(record["json"]) for record in records_in_tar(next(others.glob("*.tar"))))
+
+
+def test_datasets_reads_a_balls_shards_as_they_lie(round_bundle, round_samples, tmp_path, no_network):
+    import datasets
+
+    shards = str(round_bundle / "data" / "thing" / "test-*.h5")
+    rows = datasets.load_dataset("hdf5", data_files=shards, split="train", cache_dir=str(tmp_path))
+    with h5py.File(next((round_bundle / "data" / "thing").glob("test-*.h5"))) as file:
+        bits = np.frombuffer(zlib.decompress(file.attrs["volumes"].tobytes()), np.uint8).reshape(-1, 294912)
+    assert len(rows) == len(round_samples)
+    for row, sample in zip(rows, round_samples, strict=True):
+        for name in ("image", "segmentation", "rotation", "symmetry_mask", "part_pixels"):
+            assert np.array_equal(np.array(row[name]), getattr(sample, name)), name
+        assert (row["volume"] >= 0) == (sample.volume is not None)
+        if sample.volume is not None:
+            assert np.array_equal(np.unpackbits(bits[row["volume"]]), sample.volume.mask)

@@ -86,6 +86,11 @@ SYMSOL.ball = (() => {
     const axes = { type: "scatter3d", mode: "text", hoverinfo: "skip", text: ["x", "y", "z"],
       x: [3.5, 0, 0], y: [0, 3.5, 0], z: [0, 0, 3.5], textfont: { color: colour("quiet"), size: 12 } };
     const found = [...outline(colour("rule")), axes];
+    if (scene.volume) {
+      found.push(points(scene.volume.dots, {
+        size: 2.5, opacity: 0.85, color: scene.volume.dots.map((q) => tiltColour(direction(q).tilt)), line: { width: 0 },
+      }, scene.volume.dots.map(() => "in the volume")));
+    }
     found.push(points(scene.members, {
       size: scene.members.length > 60 ? 3 : 6,
       color: scene.members.map((q) => tiltColour(direction(q).tilt)),

@@ -3,7 +3,7 @@
 
 SYMSOL.detail = (() => {
   const { multiply, matrix } = SYMSOL.rotations;
-  const { WORDS, NO_MARKING } = SYMSOL.selection;
+  const { WORDS, NO_MARKING, volumeOf, shareInWords } = SYMSOL.selection;
   const byId = (id) => document.getElementById(id);
   let model = null, shown = -1, scene = null;
 
@@ -65,6 +65,17 @@ SYMSOL.detail = (() => {
     return { own, elements, members: elements.map((g) => multiply(own, quaternionAt(set.elements, g))) };
   }
 
+  // The volume that its set fills: its share, and rotations in it.
+  function filledBy(id) {
+    const volume = volumeOf(model.index, model.table, id);
+    if (!volume) return null;
+    if (!volume.dots) {
+      const quaternions = SYMSOL.store.unpacked(volume.quat_wxyz);
+      volume.dots = Array.from({ length: quaternions.length / 4 }, (_, i) => quaternionAt(quaternions, i));
+    }
+    return volume;
+  }
+
   function pointsOf(points, id) {
     if (!points) return { predicted: [], weights: [], leftOut: 0 };
     const r = model.table.row[id] % model.index.chunk_images;
@@ -96,7 +107,7 @@ SYMSOL.detail = (() => {
       model.table.isRedrawn[id] ? SYMSOL.store.request(`${set.folder}/redrawn`) : null,
     ]);
     if (shown !== id) return; // another one was asked for meanwhile
-    scene = { ...membersOf(labels, id), ...pointsOf(points, id), about, marked: null };
+    scene = { ...membersOf(labels, id), ...pointsOf(points, id), volume: filledBy(id), about, marked: null };
     showFacts(set, row, id);
     showLegend();
     showScores(id, run, about);
@@ -129,11 +140,9 @@ SYMSOL.detail = (() => {
   }
 
   function showFacts(set, row, id) {
-    const size = model.table.size[id];
-    const share = ((100 * size) / set.group_order).toFixed(1);
     const R = matrix(scene.own).map((line) => line.map((v) => v.toFixed(4).padStart(7)).join(" ")).join("\n");
     const facts = [
-      ["Symmetry set", make("span", `${size} of ${set.group_order} rotations (${share}%)`)],
+      ["Symmetry set", make("span", sizeOf(set))],
       [set.in_view ? "Parts" : "Marking", make("span", set.in_view ? markingOf(id) : plainMarkingOf(id))],
       ["In Python", make("code", `symsol_annot.load(${JSON.stringify(set.place)}, "${set.split}")[${row}]`)],
       ["R_m2c", make("pre", R)],
@@ -146,8 +155,17 @@ SYMSOL.detail = (() => {
     }));
   }
 
+  // Turns of an object whose sets can fill a volume are a list of candidates, of which a share says nothing.
+  function sizeOf(set) {
+    const count = scene.members.length;
+    if (scene.volume) return `a volume, ${shareInWords(scene.volume)}`;
+    if (set.volume) return `${count} of ${set.group_order} candidates`;
+    return `${count} of ${set.group_order} rotations (${((100 * count) / set.group_order).toFixed(1)}%)`;
+  }
+
   function showLegend() {
     const entries = [["truth", "a rotation of the set"], ["own", "the one it was drawn at"]];
+    if (scene.volume) entries.splice(0, 1, ["volume", `${scene.volume.dots.length} rotations drawn uniformly from the volume; colour is the tilt`]);
     if (scene.about) entries.push(["predicted", `predicted: ${scene.about.drawn}`]);
     if (scene.marked) entries.push(["marked", "drawn again, chosen below"]);
     byId("legend").replaceChildren(...entries.map(([kind, text]) => {
@@ -159,7 +177,11 @@ SYMSOL.detail = (() => {
 
   function describePlots() {
     const predicted = scene.predicted.length ? `, and ${scene.predicted.length} predicted ones over them` : "";
-    const what = `${scene.members.length} rotations of the symmetry set${predicted}`;
+    const set = scene.volume
+      ? `${scene.volume.dots.length} rotations drawn from the volume that the symmetry set fills, ${shareInWords(scene.volume)}`
+      : `${scene.members.length} rotations of the symmetry set`;
+    const what = `${set}${predicted}`;
+    byId("ball-volume").textContent = scene.volume ? `; the set fills a volume, ${shareInWords(scene.volume)}` : "";
     byId("ball-frame").setAttribute("aria-label", `Ball of rotation vectors: ${what}`);
     byId("sphere").setAttribute("aria-label", `Map of the directions of an axis of the model: ${what}`);
   }
@@ -205,7 +227,7 @@ SYMSOL.detail = (() => {
       return;
     }
     const sides = [
-      ["Of the set: these look the same", drawings.filter((d) => d.is_member), "It is alone in its set."],
+      ["Of the set: these look the same", drawings.filter((d) => d.is_member), scene.volume ? "No other candidate is in its volume." : "It is alone in its set."],
       ["Rejected: these do not", drawings.filter((d) => !d.is_member), "No candidate was rejected."],
     ];
     place.replaceChildren(...sides.map(([title, side, otherwise]) => {

@@ -4,7 +4,7 @@
 (async () => {
   const byId = (id) => document.getElementById(id);
   const FIELDS = ["find", "object", "split", "marking", "least", "most", "run", "order"];
-  const { select, columns, runs: gatherRuns, WORDS } = SYMSOL.selection;
+  const { select, columns, runs: gatherRuns, WORDS, volumeOf, shareInWords, sizeInShort } = SYMSOL.selection;
   const whole = new Intl.NumberFormat("en");
 
   SYMSOL.theme.connect(byId("theme"));
@@ -103,12 +103,13 @@
     const set = index.sets[table.set[id]], row = table.row[id];
     const score = scoreOf(id);
     const name = `${set.object}, ${set.split} image ${row}`;
-    const size = `set of ${table.size[id]}`;
+    const count = sizeInShort(index, table, id), volume = volumeOf(index, table, id);
+    const size = `set of ${volume ? shareInWords(volume) : count}`;
     return {
       image: SYMSOL.detail.files(id).image,
       alt: `${name}, ${SYMSOL.detail.markingOf(id)}, ${size}${score ? `, ${score.title} ${score.text}` : ""}`,
       title: `${index.sets.length > 1 ? `${set.object} ` : ""}${row}`,
-      note: table.stratum[id] ? `${table.size[id]} · ${WORDS[table.stratum[id]]}` : `${table.size[id]}`,
+      note: table.stratum[id] ? `${count} · ${WORDS[table.stratum[id]]}` : count,
       score: score && score.text,
     };
   }

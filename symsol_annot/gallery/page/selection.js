@@ -18,6 +18,18 @@ SYMSOL.selection = (() => {
     return set.parts.filter((name, part) => set.views[row * set.parts.length + part]);
   }
 
+  // The volume that an image's set fills; undefined for a set of single rotations.
+  const volumeOf = (index, table, id) => index.sets[table.set[id]].volumes[table.volume[id]];
+
+  const percent = ({ share }) => `${share < 5e-4 ? "under 0.1" : (100 * share).toFixed(1)}%`;
+  const shareInWords = (volume) => `${percent(volume)} of all rotations`;
+
+  // How large an image's set is, in short: how many rotations it has, or which share of all.
+  function sizeInShort(index, table, id) {
+    const volume = volumeOf(index, table, id);
+    return volume ? percent(volume) : `${table.size[id]}`;
+  }
+
   // The columns: for each image its set, its row there, and what it is filtered and sorted by.
   function columns(index) {
     const { unpacked } = SYMSOL.store;
@@ -28,6 +40,7 @@ SYMSOL.selection = (() => {
       row: new Uint32Array(total),
       stratum: new Uint8Array(total),
       size: new Uint32Array(total),
+      volume: new Int16Array(total).fill(-1), // its number in the set's list, -1 for none
       pixels: new Float32Array(total),
       isRedrawn: new Uint8Array(total),
       starts: [],
@@ -39,6 +52,7 @@ SYMSOL.selection = (() => {
       for (let row = 0; row < set.images; row++) table.row[start + row] = row;
       table.stratum.set(unpacked(set.stratum), start);
       table.size.set(unpacked(set.set_size), start);
+      if (set.volume) table.volume.set(unpacked(set.volume), start);
       table.pixels.set(unpacked(set.marking_px), start);
       for (const row of set.redrawn.images) table.isRedrawn[start + row] = 1;
       start += set.images;
@@ -116,5 +130,5 @@ SYMSOL.selection = (() => {
     return (id) => sign * metric.values[id];
   }
 
-  return { columns, runs, select, partsInView, WORDS, NO_MARKING, SHOWN, BARELY };
+  return { volumeOf, shareInWords, sizeInShort, columns, runs, select, partsInView, WORDS, NO_MARKING, SHOWN, BARELY };
 })();

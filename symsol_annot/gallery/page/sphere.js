@@ -34,11 +34,13 @@ SYMSOL.sphere = (() => {
     const svg = node("svg", { viewBox: "-290 -148 580 296", "aria-hidden": "true" });
     svg.append(graticule());
     const radius = scene.members.length > 60 ? 3 : 5.5;
-    for (const quaternion of scene.members) {
+    const dot = (quaternion, attributes) => {
       const { longitude, latitude, tilt } = direction(quaternion);
       const [x, y] = at(longitude, latitude);
-      svg.append(node("circle", { cx: x.toFixed(2), cy: y.toFixed(2), r: radius, fill: tiltColour(tilt) }));
-    }
+      svg.append(node("circle", { cx: x.toFixed(2), cy: y.toFixed(2), fill: tiltColour(tilt), ...attributes }));
+    };
+    if (scene.volume) for (const quaternion of scene.volume.dots) dot(quaternion, { r: 2, class: "volume" });
+    for (const quaternion of scene.members) dot(quaternion, { r: radius });
     scene.predicted.forEach((quaternion, i) => {
       const { longitude, latitude, tilt } = direction(quaternion);
       const d = diamond(...at(longitude, latitude), 3 + 4 * Math.sqrt(scene.weights[i]));

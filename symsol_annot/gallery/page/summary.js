@@ -64,9 +64,33 @@ SYMSOL.summary = (() => {
     return frame;
   }
 
-  function sizesTable(ranges) {
-    const words = ({ from, to }) => (from === to ? whole.format(from) : `${whole.format(from)} to ${whole.format(to)}`);
-    return table(["rotations per set", "images"], ranges.map((range) => [words(range), whole.format(range.images)]));
+  const span = ({ from, to }) => (from === to ? whole.format(from) : `${whole.format(from)} to ${whole.format(to)}`);
+
+  // How many images have sets that fill a volume, by its share of all rotations.
+  function volumes(model, ids) {
+    const found = new Map();
+    for (const id of ids) {
+      const volume = SYMSOL.selection.volumeOf(model.index, model.table, id);
+      const words = volume && SYMSOL.selection.shareInWords(volume);
+      if (volume) found.set(words, (found.get(words) || 0) + 1);
+    }
+    return [...found];
+  }
+
+  function sizesTable(ranges, filled) {
+    const rows = [...ranges.map((range) => [span(range), range.images]), ...filled];
+    return table(["rotations per set", "images"], rows.map(([words, images]) => [words, whole.format(images)]));
+  }
+
+  function line(ranges, filled) {
+    const images = filled.reduce((sum, [, count]) => sum + count, 0);
+    const said = [];
+    if (ranges.length) {
+      const most = ranges[ranges.length - 1].to;
+      said.push(`symmetry sets of ${span({ from: ranges[0].from, to: most })} rotation${most === 1 ? "" : "s"}`);
+    }
+    if (images) said.push(`${whole.format(images)} ${images === 1 ? "image has a set that fills" : "images have sets that fill"} a volume`);
+    return said.length ? `Summary: ${said.join("; ")}` : "Summary";
   }
 
   function scoresTable(runs, ids) {
@@ -90,14 +114,14 @@ SYMSOL.summary = (() => {
   }
 
   function show(model, ids) {
-    const runs = [...model.runs.values()], ranges = sizes(ids.map((id) => model.table.size[id]));
+    const runs = [...model.runs.values()], filled = volumes(model, ids);
+    const single = ids.filter((id) => !SYMSOL.selection.volumeOf(model.index, model.table, id));
+    const ranges = single.length ? sizes(single.map((id) => model.table.size[id])) : [];
     byId("summary-parts").replaceChildren(
-      ...[ids.length && sizesTable(ranges), ids.length && runs.length && scoresTable(runs, ids),
+      ...[ids.length && sizesTable(ranges, filled), ids.length && runs.length && scoresTable(runs, ids),
         ids.length && runs.length > 1 && comparison(runs, ids)].filter(Boolean),
     );
-    const [least, most] = ids.length ? [ranges[0].from, ranges[ranges.length - 1].to] : [0, 0];
-    const span = least === most ? `${whole.format(most)}` : `${whole.format(least)} to ${whole.format(most)}`;
-    byId("summary-line").textContent = ids.length ? `Summary: symmetry sets of ${span} rotation${most === 1 ? "" : "s"}` : "Summary";
+    byId("summary-line").textContent = line(ranges, filled);
   }
 
   return { show, sizes, mean, against };
