@@ -21,6 +21,7 @@ from symsol_annot.generation.marking_trace import MarkingTrace
 from symsol_annot.generation.outside import near_members
 from symsol_annot.generation.volume_audit import VolumeAudit
 from symsol_annot.rendering.control import ControlledRenderer
+from symsol_annot.rendering.engines import engine_named
 from symsol_annot.rendering.renderer import BACKGROUND, MARKING, Renderer
 from symsol_annot.rotations.so3 import Rotations, angle_between
 from symsol_annot.sets.dataset import Dataset, Sample
@@ -255,10 +256,17 @@ class _Drawer:
         if differing_px is None or tolerance_px is None:
             return _faults_of_member(stored, drawn)
         within_px = min(differing_px, tolerance_px)
-        faults = _faults_of_member(stored, drawn, within_px, is_round=self.annotator.spec.max_offset > 0)
+        faults = _faults_of_member(stored, drawn, within_px, is_round=self._has_rim_of_facets)
         if differing_px >= tolerance_px + EDGE_AREA_PX:
             faults.append(f"differs in {differing_px:g} pixels of the parts that break the symmetry")
         return faults
+
+    @property
+    def _has_rim_of_facets(self) -> bool:
+        """Whether facets that stand for a round body decide what is drawn at its rim."""
+        spec, ball = self.annotator.spec, self.annotator.ball_rule
+        is_sphere = spec.is_ball and ball is not None and engine_named(ball.settings.engine).draws_spheres
+        return spec.max_offset > 0 and not is_sphere
 
     def drawing(
         self,

@@ -38,6 +38,7 @@ from symsol_annot.system.text.names import OBJECT_NAME_RULE, is_object_name
 from symsol_annot.system.text.toml import MAX_TOML_BYTES, TITLE_RULE, is_title, shown
 
 OBJECT_FORMAT_VERSIONS = (1, 2)
+_UNIT_SLACK = 1e-6  # of a vertex's distance from the origin
 PUBLISHED_NAMES = ("tet", "cube", "icosa", "cone", "cyl", "tetX", "cylO")  # of the benchmark; others ship beside them
 
 
@@ -93,6 +94,12 @@ class ObjectSpec:
     def has_all_rotations(self) -> bool:
         """Whether every rotation maps the unmarked body onto itself, so that sets can fill a volume."""
         return self.kept_by_turns is not None
+
+    @cached_property
+    def is_ball(self) -> bool:
+        """Whether the surface stands for the unit sphere: it has all rotations, and no part stands out of it."""
+        radii = np.linalg.norm(self.mesh.vertices, axis=1)
+        return self.has_all_rotations and bool(radii.min() >= 1.0 - 2.0 * self.max_offset - _UNIT_SLACK)
 
     @property
     def stabiliser(self) -> Rotations:

@@ -37,6 +37,7 @@ class Engine:
         needs_opengl: whether it draws with OpenGL, which then decides pixels too.
         needs_gpu: whether it is of use only with a GPU; `doctor` does not try it.
         has_depth: whether it can tell the depth of what it draws.
+        draws_spheres: whether it draws a ball of facets as the sphere that they stand for.
         scene_settings: what is set on Blender's scene: the dotted path of each attribute, to its value.
     """
 
@@ -48,6 +49,7 @@ class Engine:
     float_shift: float = _FLOAT32
     needs_gpu: bool = False
     has_depth: bool = False
+    draws_spheres: bool = False
     scene_settings: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -60,6 +62,7 @@ _ALL = (
         needs_opengl=True,
         float_shift=_FLOAT64,
         has_depth=True,
+        draws_spheres=True,
     ),
     Engine(
         name="workbench",

@@ -27,18 +27,20 @@ class Scene:
         camera: what it is seen through.
         settings: engine, supersampling, colours and light.
         colours: linear RGB of each part; empty where the settings have those of body and marking.
+        is_ball: whether the mesh stands for the unit sphere, which engine `opengl` then draws (`frames.balls`).
     """
 
     mesh: Mesh
     camera: Camera
     settings: RenderSettings
     colours: tuple[Colour, ...] = ()
+    is_ball: bool = False
 
     @classmethod
     def for_object(cls, spec: ObjectSpec, camera: Camera, settings: RenderSettings) -> "Scene":
         """Return the scene of an object, in the colours of its parts where it brings them."""
         colours = tuple(part.colour for part in spec.parts) if spec.has_general_rule else ()
-        return cls(spec.mesh, camera, settings, colours)
+        return cls(spec.mesh, camera, settings, colours, spec.is_ball)
 
     @property
     def part_colours(self) -> npt.NDArray[np.float64]:

@@ -45,6 +45,12 @@ class Window:
         return self.width * self.height
 
     @property
+    def corners(self) -> npt.NDArray[np.float64]:
+        """Its upper left and lower right corner (2, 2), as (u, v)."""
+        left, top = self.left, self.top
+        return np.array([[left, top], [left + self.width, top + self.height]], dtype=np.float64)
+
+    @property
     def slices(self) -> tuple[slice, slice]:
         """Its rows and columns in the whole picture."""
         return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)

@@ -23,6 +23,7 @@ from symsol_annot.errors import RenderError
 from symsol_annot.rendering.blender import device
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.engines import engine_named
+from symsol_annot.rendering.frames.balls import BallPicture
 from symsol_annot.rendering.frames.flat_faces import with_few_slivers
 from symsol_annot.rendering.frames.projection import doubled_areas, projected
 from symsol_annot.rendering.frames.shading import srgb_bytes
@@ -79,6 +80,7 @@ class OpenGLRenderer(Closing):
         self._table = _colour_table(scene)
         self._colours = lanes_of(self._table)
         self._canvas = _Canvas(self._lattice)
+        self._ball = BallPicture.seen_by(self._lattice) if scene.is_ball else None
         self._lit, self._labelled = _LitShape(scene), _LabelledShape(scene)
         self.render(np.eye(3))  # compiles the shaders: it fails here or not at all
 
@@ -90,10 +92,12 @@ class OpenGLRenderer(Closing):
     def render(self, R_m2c: Rotations) -> View:
         """Draw the window that the object spans, and make a view of it."""
         points, z = projected(self._mesh.vertices, R_m2c, self._lattice)
-        window = Window.around(points / self._n, self._camera.width, self._camera.height)
+        corners = points if self._ball is None else self._ball.window.corners
+        window = Window.around(corners / self._n, self._camera.width, self._camera.height)
         batch = self._lit.batch(self._canvas.clip_space(points, z), R_m2c)
         with self._canvas.bound():
             words, depths = self._canvas.draw(batch, window.lattice(self._n), with_depth=self._has_depth)
+        words = self._with_ball(words, window.lattice(self._n))
         ids = _ids_in(words)
         part_pixels = part_pixels_of(ids, self._n, self._parts)
         rgb = self._blank.copy()
@@ -103,7 +107,11 @@ class OpenGLRenderer(Closing):
         if depths is None:
             return View(rgb, segmentation, part_pixels)
         depth = np.zeros(segmentation.shape, np.float32)
-        depth[window.slices] = self._canvas.z_of(depths[self._n // 2 :: self._n, self._n // 2 :: self._n])
+        at_centres = (slice(self._n // 2, None, self._n),) * 2
+        if self._ball is None:
+            depth[window.slices] = self._canvas.z_of(depths[at_centres])
+        else:
+            depth[window.slices] = self._ball.cut(window.lattice(self._n)).z[at_centres]
         depth[segmentation == 0] = 0.0
         return View(rgb, segmentation, part_pixels, depth)
 
@@ -134,6 +142,10 @@ class OpenGLRenderer(Closing):
     def close(self) -> None:
         """Nothing is held that does not end with the process."""
 
+    def _with_ball(self, words: Words, window: Window) -> Words:
+        """Return the words of a window of the lattice, of a ball with the sphere's outline and light."""
+        return words if self._ball is None else self._ball.cut(window).drawn_over(words)
+
     def _around_the_marking(
         self, R_m2c: Rotations, *, only_drawn: bool = False, lit: bool = False
     ) -> Iterator[tuple[int, Words, Window]]:
@@ -154,6 +166,7 @@ class OpenGLRenderer(Closing):
                     R = R_m2c[start + i]
                     batch = self._lit.batch(places[i], R) if lit else self._labelled.batch(places[i])
                     words, _ = self._canvas.draw(batch, windows[i])
+                    words = self._with_ball(words, windows[i])
                     refuse_strays(int(words.max()) >> 16, self._parts)
                     yield start + i, words, windows[i]
 
