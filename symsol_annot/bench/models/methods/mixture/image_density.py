@@ -90,7 +90,7 @@ class PoseDensity(ImageDensity):
         return self.mixture.blurred(grid.blur_rad).of_image(grid.rotations)
 
     def hypotheses(self) -> npt.NDArray[np.float64]:
-        """Return the centres of the components that weigh more than 0.01, the heaviest first, 30 at most."""
+        """Return the centres of the components that weigh more than 0.01, or half of the heaviest, heaviest first."""
         weights = self._told.log_weights[0, :-1].exp()
         order = torch.argsort(weights, descending=True)
         kept = order[weights[order] > min(_LEAST_WEIGHT, float(weights.max()) / 2.0)]
