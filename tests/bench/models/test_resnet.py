@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 import torch
 from reference_models import network, pictures, with_statistics
 from torch.nn import functional
@@ -45,3 +46,20 @@ def test_an_embedding_is_the_resnets_features_through_a_layer_and_relu():
     assert found.shape == (3, 256)
     assert 0.2 < (found == 0).double().mean() < 0.8
     np.testing.assert_allclose(found.detach(), embeddings_by_hand(images, stage.state_dict()).detach(), atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [32, 40, 64])
+def test_small_inputs_have_the_same_embeddings_and_gradients(size):
+    stage = with_statistics(network().first_stage)  # its last layers see 1, 2 and 2 pixels a side
+    images = pictures(height=size, width=size)
+    state = {
+        name: value.detach().clone().requires_grad_(value.is_floating_point())
+        for name, value in stage.state_dict().items()
+    }
+    found, expected = stage(images), embeddings_by_hand(images, state)
+    np.testing.assert_allclose(found.detach(), expected.detach(), atol=1e-6)
+    found.square().sum().backward()
+    expected.square().sum().backward()
+    for name, weight in stage.named_parameters():
+        by_hand = state[name].grad
+        assert torch.linalg.vector_norm(weight.grad - by_hand) < 1e-5 * torch.linalg.vector_norm(by_hand), name

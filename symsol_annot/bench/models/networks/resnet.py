@@ -1,6 +1,7 @@
 """ResNet-18 as a backbone, in torchvision's names, so that its ImageNet weights fit (He et al., CVPR 2016)."""
 
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +15,7 @@ IMAGENET = "imagenet"  # in place of a path: the file that torchvision publishes
 _WANTED = f"the weights of a ResNet-18 in torchvision's names, as in {IMAGENET_URL}"
 _CLASSES = ("fc.weight", "fc.bias")  # from the features to ImageNet's classes
 _COUNTER = "num_batches_tracked"
+_LARGEST_PRODUCT = 2  # pixels: the side of the largest image whose convolution is computed as a matrix product
 
 
 class ResNet18(nn.Module):
@@ -52,8 +54,23 @@ class _Block(nn.Module):
             self.downsample.append(nn.BatchNorm2d(channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        y = functional.relu(self.bn1(self.conv1(x)), inplace=True)
-        return functional.relu(self.bn2(self.conv2(y)) + self.downsample(x), inplace=True)
+        y = functional.relu(self.bn1(_convolved(self.conv1, x)), inplace=True)
+        return functional.relu(self.bn2(_convolved(self.conv2, y)) + self.downsample(x), inplace=True)
+
+
+def _convolved(convolution: nn.Conv2d, x: Tensor) -> Tensor:
+    """Return the convolution (B, C', H', W') of 3x3 pixels, padded by 1, of x (B, C, H, W).
+
+    Where x has at most 2x2 pixels, much of the 3x3 weights meets padding alone, and what is left is a matrix product.
+    On a CPU, torch's convolution and its gradients take up to 20 times as long: half of a training at 32 pixels.
+    """
+    size = x.shape[-1]
+    if x.shape[-2] != size or size > _LARGEST_PRODUCT or not x.is_cpu:
+        return cast("Tensor", convolution(x))
+    places = range(0, size, convolution.stride[0])
+    met = [convolution.weight[..., 1 - i : 1 - i + size, 1 - j : 1 - j + size] for i in places for j in places]
+    matrix = torch.stack(met, dim=1).flatten(2).flatten(0, 1)  # (C' H' W', C H W)
+    return functional.linear(x.flatten(1), matrix).view(len(x), -1, len(places), len(places))
 
 
 def load_pretrained(resnet: nn.Module, pretrained: str | Path) -> None:
