@@ -13,6 +13,7 @@ from symsol_annot.sets.dataset import Dataset
 from symsol_annot.system.machine import cores
 
 _IMAGES_AT_ONCE = 64  # decoded by one thread in one go
+_MOST_ROWS = 128  # of pixels whose sum is an int16
 
 
 class Batch(NamedTuple):
@@ -71,8 +72,19 @@ def reduced(images: Tensor, size: int) -> Tensor:
     """
     if not size or images.shape[1:3] == (size, size):
         return images
-    means = functional.adaptive_avg_pool2d(images.permute(0, 3, 1, 2).float(), size)
-    return means.round().to(torch.uint8).permute(0, 2, 3, 1).contiguous()
+    (count, height, width, _), down, right = images.shape, *(side // size for side in images.shape[1:3])
+    if height % size or width % size or down > _MOST_ROWS:
+        means = functional.adaptive_avg_pool2d(images.permute(0, 3, 1, 2).float(), size)
+        return means.round().to(torch.uint8).permute(0, 2, 3, 1).contiguous()
+    rows = images.reshape(count, size, down, width * 3)  # whole areas: sums of integers are nine times as fast
+    strips = rows[:, :, 0].to(torch.int16)
+    for i in range(1, down):
+        strips += rows[:, :, i]
+    columns = strips.view(count, size, size, right, 3)
+    sums = columns[:, :, :, 0].to(torch.int32)
+    for i in range(1, right):
+        sums += columns[:, :, :, i]
+    return (sums / (down * right)).round().to(torch.uint8)
 
 
 def decode_images(dataset: Dataset, size: int = 0, workers: int | None = None) -> Batch:

@@ -10,13 +10,26 @@ from symsol_annot.rotations.so3 import rotations_about, uniform_rotations
 
 
 def test_a_reduced_pixel_is_the_mean_of_the_pixels_that_it_covers():
-    images = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (2, 12, 12, 3), dtype=np.uint8))
-    found = reduced(images, 4)
-    expected = images.numpy().reshape(2, 4, 3, 4, 3, 3).mean(axis=(2, 4)).round()
-    assert found.dtype == torch.uint8
-    assert np.abs(found.numpy() - expected).max() <= 1  # halves round to even there
+    images = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (2, 12, 20, 3), dtype=np.uint8))
+    for size in (2, 4):
+        found = reduced(images, size)
+        down, right = 12 // size, 20 // size
+        expected = images.numpy().reshape(2, size, down, size, right, 3).mean(axis=(2, 4)).round()  # halves to even
+        assert found.dtype == torch.uint8
+        np.testing.assert_array_equal(found, expected)
     assert reduced(images, 0) is images
-    assert reduced(images, 12) is images
+    square = images[:, :, :12]
+    assert reduced(square, 12) is square
+
+
+@pytest.mark.parametrize("side", [18, 1024])
+def test_areas_that_share_pixels_and_large_ones_are_reduced_to_the_mean_as_well(side):
+    white = torch.full((1, side, side, 3), 255, dtype=torch.uint8)
+    white[:, : side // 2] = 101
+    found = reduced(white, 4)
+    assert found.shape == (1, 4, 4, 3)
+    assert (found[:, :2] == 101).all()
+    assert (found[:, 2:] == 255).all()
 
 
 def test_a_rolled_image_is_what_is_seen_at_its_rolled_rotation():
