@@ -35,7 +35,8 @@ lint: $(INSTALLED)  ## the quick checks
 docs: $(INSTALLED)  ## the site, in build/site; a broken link is an error
 	$(BIN)/mkdocs build --strict
 
-soak: $(INSTALLED)  ## long proofs on real renders and real processes, in build/soak.json; as root, about 20 minutes
+soak: $(INSTALLED)  ## the slow tests, and long proofs on real renders and processes, in build/soak.json; as root, 40 minutes
+	$(BIN)/pytest -n $(TEST_WORKERS) --dist loadfile -m slow
 	$(BIN)/python tools/soak
 
 perf: $(INSTALLED)  ## speed and memory, beside the common recipe, drawing every candidate, and PNG files

@@ -1,4 +1,4 @@
-"""Fixtures: small sets, which are made once per session, a folder for every user, and the command in this process."""
+"""Which tests are slow; small sets, which are made once per session, a folder for every user, and the command here."""
 
 import shutil
 import signal
@@ -13,6 +13,23 @@ from made_sets import make_set
 from symsol_annot_cli.main import main
 
 from symsol_annot.sets.shard import reader
+
+TESTS = Path(__file__).parent
+SLOW = {line for line in (TESTS / "slow.txt").read_text().splitlines() if line and not line.startswith("#")}
+
+
+@pytest.hookimpl(tryfirst=True)  # before pytest leaves out what -m names
+def pytest_collection_modifyitems(config, items):
+    """Mark what slow.txt names: a file, a test, or a test with some parameters."""
+    unknown = set(SLOW)
+    for item in items:
+        file, _, test = item.nodeid.removeprefix("tests/").partition("::")
+        names = {file, f"{file}::{test.partition('[')[0]}", f"{file}::{test}"}
+        if not SLOW.isdisjoint(names):
+            item.add_marker(pytest.mark.slow)
+        unknown -= names
+    if unknown and not config.option.file_or_dir:  # all tests are here
+        raise pytest.UsageError(f"tests/slow.txt names what is no test: {', '.join(sorted(unknown))}")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -130,7 +130,7 @@ def tests_of(mutation):
 
 def passes(tests, place):
     """Say whether all of some tests pass on the packages in a folder."""
-    options = ["-q", "-x", "-m", "not blender", "-p", "no:cacheprovider"]
+    options = ["-q", "-x", "-m", "not blender and not slow", "-p", "no:cacheprovider"]
     command = [sys.executable, "-B", "-P", "-m", "pytest", *options, *tests]
     environment = {**os.environ, "PYTHONPATH": str(place)}
     try:

@@ -127,7 +127,7 @@ def test_a_name_that_is_too_long_is_an_error_that_names_it(here, tmp_path, monke
 @pytest.mark.parametrize("words", READERS, ids=" ".join)
 def test_a_path_through_a_closed_folder_is_an_error_that_names_it(tmp_path, words):
     (tmp_path / "closed").mkdir(mode=0)
-    done = run(*AS_WHO_OBEYS_MODES, *COMMAND, *words, tmp_path / "closed" / "inner" / "data", cwd=tmp_path)
+    done = symsol(*words, tmp_path / "closed" / "inner" / "data", cwd=tmp_path, obeys_modes=True)
     (tmp_path / "closed").chmod(0o700)
     assert (done.returncode, done.stdout) == (1, "")
     assert str(tmp_path / "closed") in done.stderr

@@ -1,18 +1,15 @@
 """The command `publish`: what it takes, and what it refuses in one message."""
 
 import re
-import subprocess
 import sys
 
 import pytest
 import yaml
-from bench_sets import run
-
-COMMAND = (sys.executable, "-c", "from symsol_annot_cli.main import main; main()", "publish")
+from command_line import run, symsol
 
 
 def test_bad_input_to_the_command_is_one_message(tmp_path):
-    refused = run(*COMMAND, tmp_path / "nowhere", "--out", tmp_path / "out")
+    refused = symsol("publish", tmp_path / "nowhere", "--out", tmp_path / "out")
     assert refused.returncode == 1
     assert refused.stderr.startswith("Error: nothing was published:")
     assert not (tmp_path / "out").exists()
@@ -41,8 +38,7 @@ def test_bad_input_to_the_command_is_one_message(tmp_path):
     ],
 )
 def test_the_command_refuses_what_hosts_and_bibtex_refuse(data, tmp_path, option, value):
-    words = [*COMMAND, data / "tetX", "--out", tmp_path / "out", option, value]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = symsol("publish", data / "tetX", "--out", tmp_path / "out", option, value)
     assert (done.returncode, done.stdout) == (1, "")
     assert re.fullmatch(rf"Error: .*{option[2:]}.*: expected .*, found .*\n", done.stderr)
     assert not (tmp_path / "out").exists()
@@ -51,7 +47,7 @@ def test_the_command_refuses_what_hosts_and_bibtex_refuse(data, tmp_path, option
 def test_the_command_takes_what_they_take(data, tmp_path):
     url = "https://example.org/~a/b?c=1&d=%7B#e_[1];f|g"
     given = ("--title", "{SO}(3), {{b}}", "--author", "Ä. {P}", "--author", "B", "--version", "10.0.1", "--url", url)
-    done = run(*COMMAND, data / "tetX", "--out", tmp_path / "out", *given)
+    done = symsol("publish", data / "tetX", "--out", tmp_path / "out", *given)
     assert done.returncode == 0, done.stderr
     entry = re.search(r"```bibtex\n(.*?)```", (tmp_path / "out" / "README.md").read_text(), flags=re.DOTALL)[1]
     for line in (

@@ -57,17 +57,23 @@ def run(*command, env=None, cwd=None):
     return done
 
 
-_PROGRAMS = Server(
-    *(f"symsol_annot_cli.{name}" for name in ("info", "objects", "render", "score", "seal", "validate", "verify")),
-    forks_readers=True,
-)
+_MODULES = [
+    f"symsol_annot_cli.{name}"
+    for name in ("info", "objects", "publish", "render", "score", "seal", "validate", "verify")
+]
+_PROGRAMS = Server(*_MODULES, forks_readers=True)
+_OBEYING = Server(*_MODULES, forks_readers=True, start=AS_WHO_OBEYS_MODES)
 
 
-def symsol(*arguments, env=None, cwd=None):
-    """Run the command to its end: in a fork, but afresh where variables may change how Python starts."""
+def symsol(*arguments, env=None, cwd=None, obeys_modes=False):
+    """Run the command to its end: in a fork, but afresh where variables may change how Python starts.
+
+    Args:
+        obeys_modes: whether it is refused what modes of files forbid, which root is not.
+    """
     if env:
         return run(*COMMAND, *arguments, env=env, cwd=cwd)
-    done = _PROGRAMS.run("symsol_annot_cli.main:main", *arguments, cwd=cwd)
+    done = (_OBEYING if obeys_modes else _PROGRAMS).run("symsol_annot_cli.main:main", *arguments, cwd=cwd)
     assert "Traceback" not in done.stderr + done.stdout, done.stderr
     return done
 

@@ -27,10 +27,11 @@ class Server:
     Args:
         modules: that it imports before the first.
         forks_readers: whether the programs fork the processes that they read files with, too.
+        start: the words of a program that starts the server, with fewer privileges.
     """
 
-    def __init__(self, *modules, forks_readers=False):
-        self._words = [sys.executable, "-P", __file__, json.dumps(modules), json.dumps(forks_readers)]
+    def __init__(self, *modules, forks_readers=False, start=()):
+        self._words = [*start, sys.executable, "-P", __file__, json.dumps(modules), json.dumps(forks_readers)]
         self._process, self._lock = None, threading.Lock()
 
     def run(self, program, *arguments, env=None, cwd=None, path=()):
@@ -43,7 +44,7 @@ class Server:
             cwd: its folder; None for that of this process.
             path: folders that it imports from before all others.
         """
-        arguments = [str(word) for word in arguments]
+        arguments = [os.fsdecode(word) if isinstance(word, bytes) else str(word) for word in arguments]
         with tempfile.TemporaryDirectory() as folder, self._lock:
             printed = [Path(folder) / name for name in ("stdout", "stderr")]
             request = {
