@@ -10,7 +10,8 @@ from symsol_annot_cli.terminal import say
 
 from symsol_annot.sets.manifest import Manifest, read_manifest
 from symsol_annot.sets.shard.layout import NEWEST
-from symsol_annot.sets.stated.settings import ImportedSettings, RenderedSettings, SealedSettings, seed_to_json
+from symsol_annot.sets.stated.settings import ImportedSettings, RenderedSettings, SealedSettings
+from symsol_annot.sets.stated.values import seed_to_json
 from symsol_annot.sets.statistics import SplitStatistics, sizes_in_words, split_statistics
 from symsol_annot.system.text.names import SPLITS
 

@@ -21,7 +21,8 @@ from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.manifest import Manifest
 from symsol_annot.sets.plan import SetPlan
-from symsol_annot.sets.stated.settings import ANNOTATE_CHOICES, MAX_SEED
+from symsol_annot.sets.stated.settings import ANNOTATE_CHOICES
+from symsol_annot.sets.stated.values import MAX_SEED
 from symsol_annot.system.machine import check_extra, cores
 from symsol_annot.system.text.names import SPLITS
 

@@ -2,6 +2,8 @@
 
 `make release`. It installs from the package index without this project's constraints, as a user does. That takes some
 minutes, most of them for torch and Blender. The table goes to build/release.md.
+
+python tools/release.py --python 3.13 --extra none --extra publish   # some of it
 """
 
 import argparse
@@ -20,23 +22,27 @@ from installed import EXTRAS, NEEDS, check_base, check_extra, check_refusal, che
 
 _RENDERING_PYTHON = "3.11"
 _PYTHONS = (_RENDERING_PYTHON, "3.12", "3.13")
+_NO_EXTRA = "none"
+_EXTRAS = (_NO_EXTRA, *EXTRAS)
 _REPEATS = 20
 
 
 def main():
     """Build, try, and write the table; exit with 1 if anything fails."""
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--python", choices=_PYTHONS, action="append", help="one version; may be repeated  [all]")
+    parser.add_argument("--extra", choices=_EXTRAS, action="append", help="one extra; may be repeated  [all]")
+    chosen = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="release-") as workplace:
         files = built(Path(workplace))
         lines = [f"{path.name}: {path.stat().st_size / 1e6:.2f} MB" for path in files]
         lines += ["", "| Python | extra | installed, MB | import, ms | |", "|---|---|---|---|---|"]
-        for version in _PYTHONS:
+        for version in chosen.python or _PYTHONS:
             python = interpreter(version)
-            extras = [extra for extra in EXTRAS if extra != "render" or version == _RENDERING_PYTHON]
-            for extra in (None, *extras):
-                lines.append(
-                    f"| {version} | {extra or 'none'} | {outcome(Path(workplace), files[-1], python, extra)} |"
-                )
+            for extra in chosen.extra or _EXTRAS:
+                if extra == "render" and version != _RENDERING_PYTHON:
+                    continue
+                lines.append(f"| {version} | {extra} | {outcome(Path(workplace), files[-1], python, extra)} |")
                 print(lines[-1], flush=True)
     (PROJECT / "build").mkdir(exist_ok=True)
     (PROJECT / "build" / "release.md").write_text("\n".join(lines) + "\n")
@@ -74,11 +80,11 @@ def outcome(workplace, wheel, python, extra):
     folder = Path(tempfile.mkdtemp(dir=workplace))
     try:
         environment = Environment(folder / "env", python)
-        environment.pip("install", "--quiet", f"{wheel}[{extra}]" if extra else wheel)
+        environment.pip("install", "--quiet", wheel if extra == _NO_EXTRA else f"{wheel}[{extra}]")
         environment.pip("check")
         size = sum(path.lstat().st_size for path in environment.packages.rglob("*") if path.is_file()) / 1e6
         (folder / "work").mkdir()
-        if extra:
+        if extra != _NO_EXTRA:
             check_extra(environment, extra, folder / "work")
             check_together(environment, wheel, extra, folder / "work")
             return f"{size:.0f} | | works"

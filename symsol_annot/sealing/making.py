@@ -26,7 +26,7 @@ from symsol_annot.sealing.secret import (
 from symsol_annot.sets.manifest import MANIFEST_NAME, Manifest, read_manifest
 from symsol_annot.sets.plan import SetPlan
 from symsol_annot.sets.shard.reader import open_shard
-from symsol_annot.sets.stated.settings import SECRET_SEED_BITS
+from symsol_annot.sets.stated.values import SECRET_SEED_BITS
 from symsol_annot.system.files import make_folder, write_atomically
 from symsol_annot.system.locks import held_folder
 

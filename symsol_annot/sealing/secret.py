@@ -16,16 +16,8 @@ from typing import Any
 from symsol_annot.errors import SealError, SettingsError, output_errors
 from symsol_annot.sets.manifest import Manifest, ShardEntry
 from symsol_annot.sets.plan import division_into_shards
-from symsol_annot.sets.stated.settings import (
-    MAX_SECRET_SEED,
-    SECRET_SEED_BITS,
-    RenderedSettings,
-    SealedSettings,
-    is_sha256,
-    is_whole,
-    seed_to_json,
-    settings_from_json,
-)
+from symsol_annot.sets.stated.settings import RenderedSettings, SealedSettings, settings_from_json
+from symsol_annot.sets.stated.values import MAX_SECRET_SEED, SECRET_SEED_BITS, is_sha256, is_whole, seed_to_json
 from symsol_annot.system.files import replaced
 from symsol_annot.system.reading import read_bytes
 

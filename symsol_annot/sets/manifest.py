@@ -19,10 +19,9 @@ from symsol_annot.sets.stated.settings import (
     RenderedSettings,
     SealedSettings,
     SetSettings,
-    is_sha256,
-    is_whole,
     settings_from_json,
 )
+from symsol_annot.sets.stated.values import is_sha256, is_whole
 from symsol_annot.system.files import write_atomically
 from symsol_annot.system.reading import read_bytes
 from symsol_annot.system.text.names import SPLITS

@@ -14,7 +14,8 @@ from symsol_annot.rotations.so3 import Rotations, uniform_rotations
 from symsol_annot.sets.manifest import Manifest, ShardEntry
 from symsol_annot.sets.shard.header import MAX_IMAGES_PER_SHARD, shard_file_name
 from symsol_annot.sets.stated.equality import Equality
-from symsol_annot.sets.stated.settings import ANNOTATE_CHOICES, MAX_SECRET_SEED, RenderedSettings
+from symsol_annot.sets.stated.settings import ANNOTATE_CHOICES, RenderedSettings
+from symsol_annot.sets.stated.values import MAX_SECRET_SEED
 from symsol_annot.system.text.names import SPLITS
 
 _MAX_PIXELS_PER_SHARD = 2**25  # a shard is built in memory

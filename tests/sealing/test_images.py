@@ -16,7 +16,7 @@ from symsol_annot.sealing.secret import read_secret
 from symsol_annot.sets.dataset import load
 from symsol_annot.sets.manifest import read_manifest, write_manifest
 from symsol_annot.sets.plan import label_rotation
-from symsol_annot.sets.stated.settings import MAX_SEED, seed_to_json
+from symsol_annot.sets.stated.values import MAX_SEED, seed_to_json
 from symsol_annot.sets.verify import verify
 
 FIRST = "test-00000-of-00002.h5"

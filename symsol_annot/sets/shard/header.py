@@ -6,14 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from symsol_annot.sets.shard.layout import EQUALITY, FROM_SECRET, LAYOUTS, NEWEST, PARTS, RENDERED
-from symsol_annot.sets.stated.settings import (
-    MAX_SEED,
-    ImportedSettings,
-    RenderedSettings,
-    SealedSettings,
-    SetSettings,
-    seed_to_json,
-)
+from symsol_annot.sets.stated.settings import ImportedSettings, RenderedSettings, SealedSettings, SetSettings
+from symsol_annot.sets.stated.values import MAX_SEED, seed_to_json
 
 SHARD_FORMAT = "symsol-annot shard"
 MAX_IMAGES_PER_SHARD = 500

@@ -3,8 +3,6 @@
 They are stated once, here. The manifest, the attributes of a shard and the plan are derived from them.
 """
 
-import math
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
@@ -13,17 +11,20 @@ from typing import Any
 from symsol_annot.rendering.camera import SIZE_RANGE, Camera
 from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.sets.stated.equality import Equality, PartsOfSet, equality_from_json
+from symsol_annot.sets.stated.values import (
+    is_number,
+    is_sha256,
+    is_short_text,
+    is_whole,
+    require,
+    seed_from_json,
+    seed_to_json,
+)
 from symsol_annot.system.text.names import is_object_name
 
 ANNOTATE_CHOICES = ("all", "test", "none")
-MAX_SEED = 2**63 - 1  # HDF5 stores it as a 64-bit integer
-SECRET_SEED_BITS = 128  # of a sealed test; a seed beyond MAX_SEED is stored as a text of 32 hexadecimal digits
-MAX_SECRET_SEED = 2**SECRET_SEED_BITS - 1
 BOP_SOURCE = "BOP"  # how the name of a source begins that `import-bop` read
 _MAX_LISTED = 2**31
-_SHA256 = re.compile(r"[0-9a-f]{64}")
-_SECRET_SEED = re.compile(r"[0-9a-f]{32}")
-_SOURCE_NAME_CHARACTERS = 200
 _UNKNOWN_WHERE_IMPORTED = ("object_sha256", "seed", "render", "tolerance_px")
 _RENDERED_KEYS = {"object", "object_sha256", "seed", "camera", "render", "tolerance_px", "annotate"}
 _IMPORTED_KEYS = {*_RENDERED_KEYS, "source"}
@@ -284,50 +285,21 @@ def settings_from_json(stated: dict[str, Any]) -> SetSettings:
         SettingsError: a render setting makes no sense.
     """
     made = next((made for mark, made in _MADE_BY_MARK.items() if mark in stated), _rendered)
-    _require(set(stated) - ({_EQUALITY} if made is _rendered else set()) == _KEYS[made], "unknown fields")
-    _require(is_object_name(stated["object"]), "object")
-    _require(type(stated["annotate"]) is str and stated["annotate"] in ANNOTATE_CHOICES, "annotate")
+    require(set(stated) - ({_EQUALITY} if made is _rendered else set()) == _KEYS[made], "unknown fields")
+    require(is_object_name(stated["object"]), "object")
+    require(type(stated["annotate"]) is str and stated["annotate"] in ANNOTATE_CHOICES, "annotate")
     camera = stated["camera"]
-    _require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
-    _require(all(is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
+    require(type(camera) is dict and set(camera) == {field.name for field in fields(Camera)}, "camera")
+    require(all(is_whole(camera[side], *SIZE_RANGE) for side in ("width", "height")), "camera: its size")
     return made(stated)
-
-
-def seed_to_json(seed: int) -> int | str:
-    """Return a seed as files state it: as a number, or as 32 hexadecimal digits where it is beyond MAX_SEED."""
-    return seed if seed <= MAX_SEED else f"{seed:0{SECRET_SEED_BITS // 4}x}"
-
-
-def seed_from_json(stated: Any) -> int:
-    """Return the seed that `seed_to_json` gave.
-
-    Raises:
-        ValueError: it is none.
-    """
-    if is_whole(stated, 0, MAX_SEED):
-        return int(stated)
-    _require(isinstance(stated, str) and _SECRET_SEED.fullmatch(stated) is not None, "seed")
-    seed = int(stated, 16)
-    _require(seed > MAX_SEED, "seed")
-    return seed
-
-
-def is_whole(value: Any, least: int, most: int) -> bool:
-    """Tell whether a value is an integer within bounds, which True and 1.0 are not."""
-    return type(value) is int and least <= value <= most
-
-
-def is_sha256(value: Any) -> bool:
-    """Tell whether a value is a SHA-256 as lower-case hexadecimal."""
-    return isinstance(value, str) and _SHA256.fullmatch(value) is not None
 
 
 def _rendered(stated: dict[str, Any]) -> RenderedSettings:
     tolerance_px = stated["tolerance_px"]
     _require_drawn(stated)
-    _require(tolerance_px is None or (_is_real(tolerance_px) and tolerance_px > 0), "tolerance_px")
+    require(tolerance_px is None or (is_number(tolerance_px) and tolerance_px > 0), "tolerance_px")
     equality = equality_from_json(stated[_EQUALITY]) if _EQUALITY in stated else None
-    _require(equality is None or bool(equality.breaking) == (tolerance_px is not None), "tolerance_px")
+    require(equality is None or bool(equality.breaking) == (tolerance_px is not None), "tolerance_px")
     return RenderedSettings(
         object=stated["object"],
         object_sha256=stated["object_sha256"],
@@ -343,16 +315,16 @@ def _rendered(stated: dict[str, Any]) -> RenderedSettings:
 def _require_drawn(stated: dict[str, Any]) -> None:
     """Check what is known of all images that were drawn here."""
     camera = stated["camera"]
-    _require(_is_real(camera["distance"]) and camera["distance"] > 1, "camera: its distance")
-    _require(_is_real(camera["focal_px"]) and camera["focal_px"] > 0, "camera: its focal length")
-    _require(is_sha256(stated["object_sha256"]), "object_sha256")
+    require(is_number(camera["distance"]) and camera["distance"] > 1, "camera: its distance")
+    require(is_number(camera["focal_px"]) and camera["focal_px"] > 0, "camera: its focal length")
+    require(is_sha256(stated["object_sha256"]), "object_sha256")
 
 
 def _sealed(stated: dict[str, Any]) -> SealedSettings:
-    _require(all(stated[name] is None for name in _UNKNOWN_WHERE_SEALED), "what is sealed")
-    _require(stated["annotate"] == ANNOTATE_CHOICES[-1], "annotate")
+    require(all(stated[name] is None for name in _UNKNOWN_WHERE_SEALED), "what is sealed")
+    require(stated["annotate"] == ANNOTATE_CHOICES[-1], "annotate")
     _require_drawn(stated)
-    _require(is_sha256(stated["commitment"]), "commitment")
+    require(is_sha256(stated["commitment"]), "commitment")
     return SealedSettings(
         object=stated["object"],
         object_sha256=stated["object_sha256"],
@@ -364,13 +336,13 @@ def _sealed(stated: dict[str, Any]) -> SealedSettings:
 
 def _imported(stated: dict[str, Any]) -> ImportedSettings:
     camera, source = stated["camera"], stated["source"]
-    _require(all(stated[name] is None for name in _UNKNOWN_WHERE_IMPORTED), "what an import cannot know")
-    _require(camera["distance"] is None and camera["focal_px"] is None, "camera")
-    _require(type(source) is dict and set(source) == {field.name for field in fields(Source)}, "source")
-    _require(all(_is_short_text(source[name]) for name in ("name", "convention")), "source")
+    require(all(stated[name] is None for name in _UNKNOWN_WHERE_IMPORTED), "what an import cannot know")
+    require(camera["distance"] is None and camera["focal_px"] is None, "camera")
+    require(type(source) is dict and set(source) == {field.name for field in fields(Source)}, "source")
+    require(all(is_short_text(source[name]) for name in ("name", "convention")), "source")
     counts = ("rotations_listed", "duplicates_removed")
-    _require(all(is_whole(source[name], 0, _MAX_LISTED) for name in counts), "source")
-    _require(is_sha256(source["sha256"]) and type(source["transposed"]) is bool, "source")
+    require(all(is_whole(source[name], 0, _MAX_LISTED) for name in counts), "source")
+    require(is_sha256(source["sha256"]) and type(source["transposed"]) is bool, "source")
     return ImportedSettings(
         object=stated["object"],
         width=camera["width"],
@@ -386,16 +358,3 @@ _KEYS: dict[Callable[[dict[str, Any]], SetSettings], set[str]] = {
     _imported: _IMPORTED_KEYS,
     _sealed: _SEALED_KEYS,
 }
-
-
-def _require(is_right: bool, what: str) -> None:  # noqa: FBT001
-    if not is_right:
-        raise ValueError(what)
-
-
-def _is_real(value: Any) -> bool:
-    return type(value) is float and math.isfinite(value)
-
-
-def _is_short_text(value: Any) -> bool:
-    return isinstance(value, str) and value.isprintable() and len(value) <= _SOURCE_NAME_CHARACTERS
