@@ -1,0 +1,166 @@
+"""Measures what each key of a classifier's recipe does alone: .venv/bin/python docs/effects.py [--set data/tetX].
+
+Each is the same short training with one thing changed. Of each, docs/results/effects.json keeps the F-measure on
+validation images, after the last epoch, and the speed; the table of docs/training.md is written from that file.
+Re-running the command resumes it.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from symsol_annot.bench.models.recipe import recipe_from_toml
+from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE, read_record
+from symsol_annot.errors import SymsolError, WeightsError
+from symsol_annot.system.files import write_atomically
+
+PROJECT = Path(__file__).resolve().parents[1]
+RESULTS = PROJECT / "docs" / "results" / "effects.json"
+PAGE = PROJECT / "docs" / "training.md"
+BEGIN, END = "<!-- written by docs/effects.py -->", "<!-- to here -->"
+BASE: Mapping[str, Any] = {
+    "model": "classifier",
+    "start": "random",
+    "frequencies": 3,
+    "negatives": 256,
+    "frozen_epochs": 0,
+    "batch_size": 64,
+    "epochs": 2,
+    "learning_rates": [1e-3],
+    "milestones": [],
+    "input_size": 32,
+    "precision": "float32",
+    "validation_images": 1000,
+}
+EFFECTS: Mapping[str, Mapping[str, Any]] = {
+    "base": {},
+    "bias": {"bias_from_negatives": True},
+    "warm-up": {"warm_up": 0.25},
+    "cosine": {"schedule": "cosine"},
+    "clipping": {"clip_norm": 10.0},
+    "rolls": {"rolls": True},
+    "members": {"members": 8},
+    "near": {"near_negatives": 128},
+    "rejected": {"hard_negatives": 32},
+    "rejected-weighted": {"hard_negatives": 32, "hard_weight": 1.0},
+    "shift": {"fitted_shift": True},
+    "64-pixels": {"input_size": 64},
+    "all": {
+        "bias_from_negatives": True,
+        "warm_up": 0.25,
+        "schedule": "cosine",
+        "clip_norm": 10.0,
+        "rolls": True,
+        "members": 8,
+        "near_negatives": 128,
+        "fitted_shift": True,
+    },
+}
+SEEDS: Mapping[str, tuple[int, ...]] = {"base": (0, 1, 2)}  # of others: 0
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What came of a training.
+
+    Attributes:
+        f_measure: at 0.8, the mean of the validation images, after the last epoch.
+        images_per_second: of the last epoch.
+        processor_minutes: of all epochs.
+    """
+
+    f_measure: float
+    images_per_second: float
+    processor_minutes: float
+
+
+def main() -> None:
+    """Train what is not trained yet, and write file and table after each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--set", type=Path, default=PROJECT / "data" / "tetX", help="a set  [default: data/tetX]")
+    parser.add_argument("--folder", type=Path, default=PROJECT / "build" / "effects", help="the working folder")
+    parser.add_argument("--only", choices=EFFECTS, action="append", help="one training; may be repeated")
+    options = parser.parse_args()
+    try:
+        for name in options.only or EFFECTS:
+            for seed in SEEDS.get(name, (0,)):
+                keep(name, seed, measured(name, seed, options.set, options.folder))
+                write_table()
+    except SymsolError as error:
+        sys.exit(f"Error: {error}")
+    except subprocess.CalledProcessError as error:
+        sys.exit(error.returncode)
+
+
+def recipe_text(name: str, keys: Mapping[str, Any] = BASE) -> str:
+    """Return a training's recipe as TOML."""
+    chosen = {"title": f"Single effects: {name}", **keys, **EFFECTS[name]}
+    return "".join(f"{key} = {json.dumps(value)}\n" for key, value in chosen.items())
+
+
+def measured(name: str, seed: int, folder_of_set: Path, folder: Path, keys: Mapping[str, Any] = BASE) -> Measured:
+    """Train, or go on, or take what is finished, and return what came of it.
+
+    Raises:
+        WeightsError: the folder has a training of something else.
+    """
+    (folder / "recipes").mkdir(parents=True, exist_ok=True)
+    recipe = folder / "recipes" / f"{name}.toml"
+    recipe.write_text(recipe_text(name, keys))
+    run = folder / "runs" / f"{name}-{seed}"
+    if not is_finished(run / WEIGHTS_FILE):
+        words = ["train", recipe, "--data", folder_of_set, "--seed", seed, "--out", run, "--device", "cpu"]
+        subprocess.run([Path(sys.executable).with_name("symsol-annot"), *map(str, words)], check=True)
+    record = read_record(run / WEIGHTS_FILE)
+    if record.recipe != recipe_from_toml(recipe.read_text(), str(recipe)):
+        raise WeightsError(f"{run}: is of another recipe than {recipe}; move it away to train anew")
+    last = record.rows[-1]
+    minutes = sum(row["processor_seconds"] for row in record.rows) / 60
+    f_measure = record.calibration.get("f_measure", last["f_measure"])
+    return Measured(round(f_measure, 4), round(last["images_per_second"], 1), round(minutes, 2))
+
+
+def is_finished(weights: Path) -> bool:
+    """Tell whether a training is there and finished."""
+    return weights.is_file() and read_record(weights).is_finished
+
+
+def keep(name: str, seed: int, found: Measured) -> None:
+    """Put what came of a training into the file of results, beside what was before."""
+    known = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
+    known.setdefault(name, {})[str(seed)] = asdict(found)
+    ordered = {one: known[one] for one in EFFECTS if one in known}
+    write_atomically(RESULTS, (json.dumps(ordered, indent=1) + "\n").encode())
+
+
+def table() -> str:
+    """Return the table of the results as Markdown."""
+    known = json.loads(RESULTS.read_text())
+    lines = ["| changed | F-measure at 0.8 | images per second |", "|---|---|---|"]
+    for name, of_seeds in known.items():
+        changes = ", ".join(f"`{key} = {json.dumps(value)}`" for key, value in EFFECTS[name].items()) or "nothing"
+        figures = [Measured(**one) for one in of_seeds.values()]
+        shares = ", ".join(f"{one.f_measure:.3f}" for one in figures)
+        speeds = sorted(one.images_per_second for one in figures)
+        lines.append(f"| {changes} | {shares} | {speeds[len(speeds) // 2]:.0f} |")
+    return "\n".join(lines) + "\n"
+
+
+def write_table() -> None:
+    """Put the table in its place on the page, between two comments."""
+    text = PAGE.read_text()
+    if BEGIN not in text:
+        print(f"{PAGE} has no line {BEGIN}; the table is:\n\n{table()}")
+        return
+    before, rest = text.split(BEGIN)
+    after = rest.split(END)[1]
+    PAGE.write_text(f"{before}{BEGIN}\n{table()}{END}{after}")
+
+
+if __name__ == "__main__":
+    main()

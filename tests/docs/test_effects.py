@@ -1,0 +1,62 @@
+"""docs/effects.py: trainings that differ in one thing, and the table of what came of them."""
+
+import json
+
+import effects
+import pytest
+from made_sets import make_set
+
+from symsol_annot.bench.models.recipe import parse_recipe
+from symsol_annot.errors import WeightsError
+
+QUICK = {**effects.BASE, "input_size": 16, "epochs": 1, "batch_size": 8, "validation_images": 8}
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory):
+    return make_set(tmp_path_factory.mktemp("sets"), train=24, test=0, size=16, annotate="all")
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """A page and a file of results to write to."""
+    (tmp_path / "page.md").write_text(f"before\n{effects.BEGIN}\nold\n{effects.END}\nafter\n")
+    monkeypatch.setattr(effects, "PAGE", tmp_path / "page.md")
+    monkeypatch.setattr(effects, "RESULTS", tmp_path / "effects.json")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", effects.EFFECTS)
+def test_a_recipe_differs_from_the_base_in_what_it_says(name):
+    recipes = [
+        parse_recipe(effects.recipe_text(one), one).for_object("tetX", has_marking=True) for one in ("base", name)
+    ]
+    differing = {key for key in vars(recipes[0]) if getattr(recipes[0], key) != getattr(recipes[1], key)}
+    assert differing - {"title"} == set(effects.EFFECTS[name])
+
+
+def test_a_training_is_done_once_and_its_figures_are_those_of_its_record(images, tmp_path):
+    found = effects.measured("shift", 0, images, tmp_path, QUICK)
+    file = tmp_path / "runs" / "shift-0" / "weights.safetensors"
+    before = file.stat().st_mtime_ns
+    assert effects.measured("shift", 0, images, tmp_path, QUICK) == found
+    assert file.stat().st_mtime_ns == before
+    record = effects.read_record(file)
+    assert found.f_measure == round(record.calibration["f_measure"], 4)
+    assert found.images_per_second > 0.0
+    with pytest.raises(WeightsError, match="is of another recipe"):
+        effects.measured("shift", 0, images, tmp_path, {**QUICK, "negatives": 64})
+
+
+def test_the_table_has_each_training_with_its_seeds_in_the_order_of_the_list(kept):
+    effects.keep("bias", 0, effects.Measured(0.5, 100.0, 1.0))
+    for seed in (0, 1, 2):
+        effects.keep("base", seed, effects.Measured(0.1 + seed / 10, 90.0 + seed, 1.0))
+    effects.write_table()
+    assert list(json.loads((kept / "effects.json").read_text())) == ["base", "bias"]
+    lines = (kept / "page.md").read_text().splitlines()
+    assert lines[0] == "before"
+    assert lines[-1] == "after"
+    assert "| nothing | 0.100, 0.200, 0.300 | 91 |" in lines
+    assert "| `bias_from_negatives = true` | 0.500 | 100 |" in lines
+    assert "old" not in lines
