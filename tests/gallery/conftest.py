@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from balls import CAP, CAP_FACES, BallRenderer, ball, ball_toml
+from balls import capped_set
 from bench_sets import SIZE, small_set
 from gallery_files import documents, numpy_redrawer
 from made_sets import make_plan, make_set, threads
@@ -17,11 +17,8 @@ from symsol_annot.gallery.runs import read_runs
 from symsol_annot.gallery.sources import open_sources
 from symsol_annot.gallery.writing import write_gallery
 from symsol_annot.generation.generate import generate
-from symsol_annot.objects.spec import load_object, read_object
-from symsol_annot.rendering.camera import Camera
-from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.objects.spec import load_object
 from symsol_annot.rotations.so3 import uniform_rotations
-from symsol_annot.sets.plan import SetPlan
 
 
 @pytest.fixture(scope="session")
@@ -83,11 +80,8 @@ def mugs(tmp_path_factory):
 def balls(tmp_path_factory):
     """A gallery of a ball with a red cap, and its images: where they hide the cap, their sets fill a volume."""
     place = tmp_path_factory.mktemp("balls")
-    (place / "object.toml").write_text(ball_toml(CAP))
-    (place / "mesh.obj").write_text(ball({"red": CAP_FACES}))
-    plan = SetPlan(read_object(place), {"test": 6}, 0, Camera.filling(16), RenderSettings(), "test")
-    generate(plan, place / "data" / "thing", threads(partial(BallRenderer, plan.spec, plan.camera)))
-    write_gallery(place / "page", open_sources(place / "data"))
-    images = load(place / "data" / "thing", "test")
+    thing = capped_set(place)
+    write_gallery(place / "page", open_sources(thing.parent))
+    images = load(thing, "test")
     assert set(images.labels().volume.tolist()) == {-1, 0}
     return place / "page", images

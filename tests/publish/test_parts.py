@@ -8,14 +8,14 @@ import h5py
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from balls import CAP, CAP_FACES, BallRenderer, ball, ball_toml
+from balls import capped_set
 from bundles import assert_all_in_tar_files, assert_all_same, records_in_tar
 from made_sets import make_set, threads
 from mesh_renderer import MeshRenderer
 
 import symsol_annot
 from symsol_annot.generation.generate import generate
-from symsol_annot.objects.spec import load_object, read_object
+from symsol_annot.objects.spec import load_object
 from symsol_annot.publish.about import About
 from symsol_annot.publish.publication import publish
 from symsol_annot.publish.sets import sets_in
@@ -108,10 +108,7 @@ def test_torchs_loader_batches_images_of_parts_with_sets_of_any_size(parted, sam
 def round_bundle(tmp_path_factory):
     """A bundle of a ball with a red cap, which some images hide, beside a tetrahedron, whose sets fill no volume."""
     folder = tmp_path_factory.mktemp("round")
-    (folder / "object.toml").write_text(ball_toml(CAP))
-    (folder / "mesh.obj").write_text(ball({"red": CAP_FACES}))
-    plan = SetPlan(read_object(folder), {"test": 6}, 0, Camera.filling(16), RenderSettings(), "test")
-    generate(plan, folder / "data" / "thing", threads(partial(BallRenderer, plan.spec, plan.camera)))
+    capped_set(folder)
     make_set(folder / "data", "tetX", test=3, size=16)
     publish(sets_in(folder / "data"), folder / "bundle", About(), as_webdataset=True)
     return folder / "bundle"

@@ -1,10 +1,18 @@
 """Balls of few triangles, as text and drawn: meridians and parallels, some faces painted."""
 
 import math
+from functools import partial
 
 import numpy as np
+from made_sets import threads
 from mesh_renderer import MeshRenderer, N
 from parted_objects import ObjText, parted_toml
+
+from symsol_annot.generation.generate import generate
+from symsol_annot.objects.spec import read_object
+from symsol_annot.rendering.camera import Camera
+from symsol_annot.rendering.settings import RenderSettings
+from symsol_annot.sets.plan import SetPlan
 
 MERIDIANS, PARALLELS = 24, 12
 OFF = 0.02  # radii that its faces lie inside of the sphere, at most
@@ -54,6 +62,20 @@ def ball_toml(*parts, group=SO3):
 
 
 MARKED = ball_toml(CAP, FLAG), ball({"red": CAP_FACES, "blue": flag_faces()})
+
+
+def ball_set(folder, toml, mesh, images):
+    """Make a test split of a ball's images in a folder of sets; return its folder."""
+    (folder / "object.toml").write_text(toml)
+    (folder / "mesh.obj").write_text(mesh)
+    plan = SetPlan(read_object(folder), {"test": images}, 0, Camera.filling(16), RenderSettings(), "test")
+    generate(plan, folder / "data" / plan.spec.name, threads(partial(BallRenderer, plan.spec, plan.camera)))
+    return folder / "data" / plan.spec.name
+
+
+def capped_set(folder):
+    """Make a set of a ball with a red cap, which some of its images hide."""
+    return ball_set(folder, ball_toml(CAP), ball({"red": CAP_FACES}), 6)
 
 
 class BallRenderer(MeshRenderer):

@@ -1,12 +1,9 @@
 """Scores of a ball's set, from its shards to the reference rows, through predictions files and in memory."""
 
-from functools import partial
-
 import h5py
 import numpy as np
 import pytest
-from balls import MARKED, BallRenderer
-from made_sets import threads
+from balls import MARKED, ball_set
 
 from symsol_annot import load
 from symsol_annot.bench.predictions.queries import Queries
@@ -17,26 +14,14 @@ from symsol_annot.bench.scoring.memory.in_memory import score
 from symsol_annot.bench.scoring.reference import IN_VOLUME, ROWS, score_row
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import PredictionsError
-from symsol_annot.generation.generate import generate
-from symsol_annot.objects.spec import read_object
-from symsol_annot.rendering.camera import Camera
-from symsol_annot.rendering.settings import RenderSettings
 from symsol_annot.rotations.so3 import uniform_rotations
-from symsol_annot.sets.plan import SetPlan
 
 LEVEL, IMAGES = 1, 16
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("object")
-    toml, mesh = MARKED
-    (folder / "object.toml").write_text(toml)
-    (folder / "mesh.obj").write_text(mesh)
-    plan = SetPlan(read_object(folder), {"test": IMAGES}, 0, Camera.filling(16), RenderSettings(), "test")
-    where = tmp_path_factory.mktemp("sets") / plan.spec.name
-    generate(plan, where, threads(partial(BallRenderer, plan.spec, plan.camera)))
-    return load(where)
+    return load(ball_set(tmp_path_factory.mktemp("object"), *MARKED, IMAGES))
 
 
 @pytest.fixture(scope="module")
