@@ -28,7 +28,9 @@ from symsol_annot.system.machine import check_extra
     help="The folder of the pages.",
 )
 @SHOWN_SPLITS
-@click.option("--limit", metavar="N", type=click.IntRange(min=1), help="Only the first N images of a split.  [all]")
+@click.option(
+    "--limit", metavar="N", type=click.IntRange(min=1), help="Only the first N images of a split.  [default: all]"
+)
 @click.option(
     "--redrawn",
     metavar="N",

@@ -39,7 +39,7 @@ _SHOWN_LINES = 40  # of a difference
     type=click.Path(path_type=Path, dir_okay=False),
     help="Score these predictions again; show each figure that differs from their row, and fail if any does.",
 )
-@click.option("--row", default="", help="With --rescore: SET/NAME of the row.  [the one of the file's SHA-256]")
+@click.option("--row", default="", help="With --rescore: SET/NAME of the row.  [default: by the file's SHA-256]")
 @DATA
 def leaderboard(folder: Path, out: Path | None, predictions: Path | None, row: str, data: Path, *, check: bool) -> None:
     """Check the results in a folder, and build the leaderboard's page from them or score a row's predictions again."""

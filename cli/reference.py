@@ -17,7 +17,9 @@ from symsol_annot.system.scratch import Scratch, sweep, temporary_errors
 @click.command(epilog=example("symsol-annot reference data/cylO data/tetX --row evenly-placed"))
 @click.argument("folders", metavar="DATA...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @SPLIT
-@click.option("--row", "rows", type=click.Choice(list(ROWS)), multiple=True, help="One row; may be repeated.  [all]")
+@click.option(
+    "--row", "rows", type=click.Choice(list(ROWS)), multiple=True, help="One row; may be repeated.  [default: all]"
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),

@@ -28,7 +28,7 @@ from symsol_annot.system.machine import cores
 
 @click.command(epilog=example("symsol-annot verify data", "symsol-annot verify data/cylO --audit 20"))
 @SET_FOLDER
-@click.option("--audit", "audited", metavar="K", type=click.IntRange(min=1), help="Draw K images of each set again.")
+@click.option("--audit", "audited", metavar="N", type=click.IntRange(min=1), help="Draw N images of each set again.")
 @click.option("--repair", is_flag=True, help="First make damaged, missing and unfinished shards again.")
 @click.option(
     "--object", "spec", type=ObjectType(), help="The object to draw, where the set's object is a folder of your own."

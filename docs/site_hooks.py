@@ -26,6 +26,11 @@ _CODE = re.compile(r"(<code>)([^<]+)(</code>)")
 _AFTER = re.compile(r"(?<=[_/.=-])(?=[\w<-])")
 _DIGEST = re.compile(r"\b([0-9a-f]{64})\b(?![^<]*>)")
 _BAR = re.compile(r"<mo>(&#x0007C;|&#x02016;)</mo>")  # which browsers would set as operators between two others
+_FUNCTION = r"<mi>(?:ln|exp|sin|cos|arcsin|det)</mi>"
+_BEFORE_FUNCTION = re.compile(rf"(?<=</mi>)(?={_FUNCTION})")
+_AFTER_FUNCTION = re.compile(rf"({_FUNCTION})(?=<m(?!o\b))")
+_THIN_SPACE = '<mspace width="0.17em"></mspace>'
+_PICTURE = re.compile(r'<img\b[^>]*?\bsrc="([^"]+)"[^>]*>')
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -55,8 +60,9 @@ def _site_link(folder: Path, label: str, target: str, heading: str) -> str:
 
 
 def on_page_content(content: str, **_: object) -> str:
-    """Turn equations into MathML, and say where long words of tables may break."""
+    """Turn equations into MathML, say where long words of tables may break, and let pictures open in their own size."""
     content = _CELL.sub(_breakable, content)
+    content = _PICTURE.sub(r'<a class="picture" href="\1">\g<0></a>', content)
     content = _INLINE.sub(lambda found: _mathml(found[1], "inline"), content)
     return _DISPLAYED.sub(lambda found: _mathml(found[1], "block"), content)
 
@@ -78,4 +84,5 @@ def _breakable(cell: re.Match[str]) -> str:
 
 def _mathml(equation: str, display: str) -> str:
     drawn = convert(html.unescape(equation), display=display)
+    drawn = _AFTER_FUNCTION.sub(rf"\1{_THIN_SPACE}", _BEFORE_FUNCTION.sub(_THIN_SPACE, drawn))
     return _BAR.sub(r'<mo stretchy="false" lspace="0" rspace="0">\1</mo>', drawn)

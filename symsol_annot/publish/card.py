@@ -94,7 +94,7 @@ def _size_category(images: int) -> str:
 
 def _contents(sets: tuple[PublishedSet, ...], figures: Figures) -> str:
     rows = [
-        "| set | split | images | pixels | distance | focal_px | group | T in pixels | shards | Parquet |",
+        "| set | split | images | pixels | distance | focal_px | group order | T in pixels | shards | Parquet |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for published in sets:

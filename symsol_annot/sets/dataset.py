@@ -44,8 +44,8 @@ class Sample:
         segmentation: (H, W) u8: 0 background, 1 body, 2 marking, as `Dataset.parts` names them. None in an imported
             or a sealed set, which has none.
         rotation: (3, 3) f8, R_m2c, the rotation that the image was drawn at; NaN in a sealed set, which does not say.
-        marking_pixels: the marking's visible area in pixels, p(R_m2c); or the largest p of the coset R_m2c H, where
-            that reaches the object's tolerance and p(R_m2c) does not. 0 without a marking, NaN in an imported or a
+        marking_pixels: the marking's visible area in pixels at R_m2c; or the largest area of the coset R_m2c H, where
+            only that reaches the object's tolerance. 0 without a marking, NaN in an imported or a
             sealed set.
         marking_visible: whether that is at least the object's tolerance; False without a marking, None in an imported
             or a sealed set.

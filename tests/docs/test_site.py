@@ -83,6 +83,27 @@ def test_every_equation_is_drawn_without_a_script(pages):
     assert not [equation for equation in math if "\\" in equation]  # a command that was not understood
 
 
+def test_names_of_functions_stand_apart_from_what_is_beside_them(pages):
+    space = '<mspace width="0.17em"></mspace>'
+    logarithm_of_p = f"<mi>ln</mi>{space}<mi>p</mi>"
+    exponential = f"<mi>R</mi>{space}<mi>exp</mi><mo"
+    assert logarithm_of_p in pages["models.html"]
+    assert exponential in pages["models.html"]
+
+
+def test_every_picture_of_a_page_opens_in_its_own_size(site, pages):
+    """On a phone, a figure with several panels is too small to read."""
+    pictures = [
+        (name, source, link)
+        for name, text in pages.items()
+        for link, source in re.findall(r'<a class="picture" href="([^"]+)"><img\b[^>]*?\bsrc="([^"]+)"', text)
+    ]
+    assert len(pictures) == sum(text.count("<img ") for text in pages.values()) > 20
+    for name, source, link in pictures:
+        assert link == source
+        assert (site / name).parent.joinpath(link).is_file()
+
+
 def test_the_api_pages_have_every_public_name(pages):
     there = {
         found for name, text in pages.items() if name.startswith("api/") for found in re.findall(r'id="([\w.]+)"', text)
@@ -198,7 +219,7 @@ def test_axe_finds_nothing_on_the_site(browser, site, scheme, theirs):
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
     browser.get((site / "bop.html").as_uri())
     browser.execute_script("localStorage.clear()")  # where the theme keeps the scheme
-    for name in ("bop.html", "index.html"):
-        browser.get((site / name).as_uri())
+    for name in ("bop", "index", "leaderboard", "metrics", "objects", "tutorial", "api/index", "api/torch"):
+        browser.get((site / f"{name}.html").as_uri())
         wait_for(browser, f"document.body.dataset.mdColorScheme === '{theirs}'")
-        assert axe.faults(browser) == []
+        assert axe.faults(browser) == [], name

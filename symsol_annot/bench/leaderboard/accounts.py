@@ -15,15 +15,17 @@ def accounts(board: Leaderboard, link: str) -> Iterator[str]:
         for result in results:
             account = result.account
             yield f"### {escaped(f'{folder}/{result.name}')}"
-            facts = [f"{escaped(account.title)}, by {escaped(account.by)}, {account.date}", escaped(account.hardware)]
-            facts += [f"all scored in {account.score_minutes:.1f} minutes"] if account.score_minutes is not None else []
-            facts += [f"recipe `{account.recipe}`"] if account.recipe else []
+            facts = [f"{escaped(account.title)}, by {escaped(account.by)}, {account.date}"]
+            facts += [f"Hardware: {escaped(account.hardware)}"]
+            facts += [f"Recipe: `{account.recipe}`"] if account.recipe else []
             facts += list(_knowledge(account))
+            if account.score_minutes is not None:
+                facts += [f"Scoring took {account.score_minutes:.1f} minutes in all"]
             facts += [escaped(account.notes).rstrip(".")] if account.notes else []
             files = (f"{result.name}.toml", result.scores_file)
             links = [linked(file, f"{link}/{folder}/{file}") for file in files]
             links += [linked("code", account.code)] if account.code.strip() else []
-            yield f"{'. '.join(facts)}. {', '.join(links)}"
+            yield f"{'. '.join(facts)}. Files: {', '.join(links)}"
             if account.commands:
                 yield fenced("\n".join(account.commands), "sh")
             yield tabled(_training_rows(result))
@@ -34,19 +36,19 @@ def accounts(board: Leaderboard, link: str) -> Iterator[str]:
 
 
 def _knowledge(account: Account) -> Iterator[str]:
-    """Yield what a method reads and was told, as far as its account says so."""
+    """Yield what a method reads and was told, in sentences, as far as its account says so."""
     if account.input_px is not None:
-        yield f"reads {account.input_px}x{account.input_px} pixels"
+        yield f"It reads {account.input_px}x{account.input_px} pixels"
     if account.given_group is not None:
-        yield f"{'told' if account.given_group else 'not told'} the body's group"
+        yield f"It was {'told' if account.given_group else 'not told'} the body's group"
     if account.given_sets is not None:
-        yield f"learnt from {'symmetry sets' if account.given_sets else 'one rotation per image'}"
+        yield f"It learnt from {'symmetry sets' if account.given_sets else 'one rotation per image'}"
 
 
 def _training_rows(result: Result) -> Iterator[Sequence[str]]:
     trainings = result.account.objects
     with_predicting = any(training.predict_minutes is not None for training in trainings.values())
-    yield ["", "seed", "training, minutes", "of processor", *(["predicting, minutes"] * with_predicting), "began with"]
+    yield ["", "seed", "training, minutes", "of processor time", *(["predicting, minutes"] * with_predicting), "start"]
     for name, training in trainings.items():
         minutes = [_minutes(training.minutes), _minutes(training.processor_minutes)]
         minutes += [_minutes(training.predict_minutes)] * with_predicting

@@ -134,7 +134,7 @@ def _of_set(board: Leaderboard, folder: str, link: str) -> Iterator[str]:
     yield f"{image_set.images:,} images per object, of the {image_set.split} split. {escaped(image_set.notes)}".strip()
     yield fenced("\n".join(image_set.commands), "sh")
     if not board.results[folder]:
-        yield "No results yet."
+        yield "Nobody has sent in a result on this set yet; the rows are references."
     tables = tables_of(board, folder)
     for track in dict.fromkeys(table.track for table in tables):
         alike = [table for table in tables if table.track == track]

@@ -20,7 +20,8 @@ def beside_the_thesis(board: Leaderboard) -> Iterator[str]:
         yield f"### {escaped(title)}"
         yield tabled(_thesis_rows(table, runs))
         absent = [f"`{recipe}`" for recipe, found in runs.items() if not found]
-        yield f"Not run here: {', '.join(absent) or 'none'}."
+        if absent:
+            yield f"Not run here: {', '.join(absent) if len(absent) < len(runs) else 'all of these'}."
 
 
 def _standing_for(recipe: str, board: Leaderboard) -> list[tuple[str, Result]]:

@@ -136,7 +136,7 @@ def test_times_of_predicting_and_scoring_stand_on_the_page(folder):
     change_of("far.toml", "hardware =", "score_minutes = 0.25\nhardware =")(folder / "tiny")
     page = page_of(folder)
     assert "| tetX | 7 | 3.2 |  | 1.5 |  |" in page
-    assert "all scored in 0.2 minutes" in page
+    assert "Scoring took 0.2 minutes in all." in page
     change_of("far.toml", "predict_minutes = 1.5", "predict_minutes = -1")(folder / "tiny")
     with pytest.raises(ScoresError, match="predict_minutes: expected a finite number, 0 or more, found -1"):
         read_leaderboard(folder)

@@ -150,7 +150,7 @@ def test_what_a_method_was_told_stands_in_its_row(folder):
     row = tables_of(page_of(folder))["tetX, hypotheses"][3]
     assert row[0].endswith("a lab<br>told group, sets")
     assert row[2] == "128"
-    assert "reads 128x128 pixels. told the body's group. learnt from symmetry sets." in page_of(folder)
+    assert "It reads 128x128 pixels. It was told the body's group. It learnt from symmetry sets." in page_of(folder)
 
 
 def test_references_stand_alone_where_nobody_sent_anything_in(folder, images, tmp_path):
@@ -163,7 +163,7 @@ def test_references_stand_alone_where_nobody_sent_anything_in(folder, images, tm
     rows = tables_of(page_of(folder))["tetX, hypotheses"]
     assert [row[0] for row in rows[2:]] == ["*[30 uniform rotations](files/tiny/reference/uniform.json)*"]
     assert "px" not in rows[0]
-    assert "No results yet." in page_of(folder)
+    assert "Nobody has sent in a result on this set yet; the rows are references." in page_of(folder)
 
 
 def test_a_figure_that_ranks_without_those_of_its_images_is_refused(folder):

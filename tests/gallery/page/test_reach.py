@@ -86,7 +86,10 @@ def contrast(a, b):
     return (light + 0.05) / (dark + 0.05)
 
 
-def test_on_a_narrow_screen_an_image_opens_over_the_list_and_nothing_sticks_out(page, browser):
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_on_a_narrow_screen_an_image_opens_over_the_list_and_nothing_sticks_out(page, browser, scheme):
+    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
     size = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
