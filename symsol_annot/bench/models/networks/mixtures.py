@@ -56,6 +56,8 @@ class LogDensity(ABC):
         A share of less than e^-60 of the highest peak counts as so much: exp takes ten times as long where it
         underflows. What is worked out at once fits the processor's cache.
         """
+        if not self.log_peaks.numel():
+            return self.log_weights[0, -1].expand(len(at))
         highest = self.log_peaks.max()
         found = []
         for part in torch.split(at, _AT_ONCE):
@@ -98,6 +100,11 @@ class PoseMixture(LogDensity):
         """Return ln of each component's share of p (B, Q, M) at rotations (B, Q, 3, 3), or (Q, 3, 3) for all images."""
         turned, constants = self._linear
         return torch.baddbmm(constants[:, None], _by_image(at, 3).flatten(-2).expand(len(constants), -1, -1), turned.mT)
+
+    def log_shares_of(self, chosen: Tensor, at: Tensor) -> Tensor:
+        """Return ln of what chosen components (k,) of the only image add to p at rotations (k, 3, 3): (k,)."""
+        turned, constants = self._linear
+        return (turned[0, chosen] * at.flatten(1)).sum(-1) + constants[0, chosen]
 
     @cached_property
     def _linear(self) -> tuple[Tensor, Tensor]:
@@ -147,6 +154,16 @@ class PoseMixture(LogDensity):
     def cpu(self) -> "PoseMixture":
         """Return them in the processor's memory."""
         return PoseMixture(self.centres.cpu(), self.roots.cpu(), self.log_weights.cpu())
+
+    @property
+    def components(self) -> int:
+        """How many components it has, but for the uniform one."""
+        return self.centres.shape[1]
+
+    def chosen(self, is_kept: Tensor) -> "PoseMixture":
+        """Return what is left with some of the components (M,) alone, and the uniform one; their weights stay."""
+        with_uniform = torch.cat([is_kept, is_kept.new_ones(1)])
+        return PoseMixture(self.centres[:, is_kept], self.roots[:, is_kept], self.log_weights[:, with_uniform])
 
     def __len__(self) -> int:
         return len(self.log_weights)

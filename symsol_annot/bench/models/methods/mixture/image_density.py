@@ -20,6 +20,8 @@ from symsol_annot.rotations.grid import grid_size
 
 HYPOTHESES = 30
 LEAST_CELL = 1e-9  # of a cell's probability: less is not told apart, and a file of 5,000 images stays small
+_NEGLIGIBLE = 16.0  # a component's share of so much less, in logarithms, changes nothing that a file says
+_LOG_LEAST = float(np.log(LEAST_CELL * grid_size(4))) - _NEGLIGIBLE  # of a share: -24
 _SAMPLES = 1024
 _LEAST_WEIGHT = 0.01  # of a component that is a hypothesis
 _SAME = 6  # decimals to which axes are compared
@@ -81,13 +83,14 @@ class PoseDensity(ImageDensity):
 
     def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
         """Return grid indices, and ln p - ln t there."""
-        log_claim = self.log_claim(grid.rotations)
+        log_least = min(_LOG_LEAST, self.log_t - CLAIMED_FROM - _NEGLIGIBLE)
+        log_claim = grid.log_density(self.mixture, log_least) - self.log_t
         near = torch.nonzero(log_claim > -CLAIMED_FROM)[:, 0]
         return near.numpy(), log_claim[near]
 
     def on_cells(self, grid: Grid) -> Tensor:
         """Return ln p (N,) averaged over cells, nearly."""
-        return self.mixture.blurred(grid.blur_rad).of_image(grid.rotations)
+        return grid.log_density(self.mixture.blurred(grid.blur_rad), _LOG_LEAST)
 
     def hypotheses(self) -> npt.NDArray[np.float64]:
         """Return the centres of the components that weigh more than 0.01, or half of the heaviest, heaviest first."""
