@@ -119,6 +119,25 @@ def test_points_are_coverage_and_accuracy_at_each_angle(figures):
     assert axes.lines[0].get_label() == figures[0].legends[0].get_texts()[0].get_text()
 
 
+@pytest.mark.parametrize(
+    ("draw", "track", "metric", "at"),
+    [
+        (score_plots.plot_coverage, "hypotheses", "coverage_at_2_deg", 2),
+        (score_plots.plot_calibration, "density", "set_in_region_of_80_percent", 0.8),
+    ],
+)
+def test_an_interval_that_lacks_an_end_is_left_out(draw, track, metric, at, figures, tmp_path):
+    document = json.loads(TRUTH.read_text())
+    document["objects"]["tetX"][track]["all"][metric]["low"] = None
+    path = tmp_path / "scores.json"
+    path.write_text(json.dumps(document))
+    draw([path], Path("x.png"), "tetX")
+    (axes,) = figures[0].axes
+    across = axes.collections[0].get_paths()[0].vertices[:, 0]
+    assert len(across) > 4
+    assert at not in across
+
+
 NAMES = ["$a_{$", "cost $5 and $6", "_mine", "\u65e5\u672c\u8a9e"]
 
 
