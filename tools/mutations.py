@@ -1,10 +1,11 @@
 """Changes the code a little, many times, and names the changes that no test notices.
 
-python tools/mutations.py [--room rotations] [--count 60] [--seconds 1800] [--seed 0] [--json build/mutations.json]
+python tools/mutations.py [--room rotations] [--file FILE] [--count 60] [--seconds 1800] [--seed 0] [--json FOUND.json]
 
-A mutation swaps one operator, comparison or constant of a module, in a copy of the packages. The tests of the module's
-room run on the copy until one fails. A survivor is a change that all of them pass: it names a law without a test, or a
-change that changes nothing. Mutations are drawn at random from all; exits 1 if one survives or none was tried.
+A mutation swaps one operator, comparison or constant of a module, in a copy of the packages; arguments of decorators
+and annotations stay. The tests of the module's room run on the copy until one fails. A survivor is a change that all of
+them pass: it names a law without a test, or a change that changes nothing. Mutations are drawn at random from all;
+exits 1 if one survives or none was tried.
 """
 
 import argparse
@@ -76,12 +77,13 @@ def main():
     """Mutate until the count or the time is used up, and name the survivors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--room", choices=TESTS, action="append", help="[default: all of these]")
+    parser.add_argument("--file", action="append", help="of the project, in such a room [default: all of them]")
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seconds", type=float, default=1800.0, help="begin no mutation after so long")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    chosen = drawn(arguments.room or TESTS, arguments.count, arguments.seed)
+    chosen = drawn(arguments.room or TESTS, arguments.count, arguments.seed, arguments.file)
     found = tried(chosen, arguments.seconds)
     survivors = [mutation for mutation, is_noticed in found if not is_noticed]
     print(f"{len(found)} of {len(chosen)} mutations tried, {len(survivors)} survived")
@@ -93,9 +95,13 @@ def main():
     sys.exit(1 if survivors or not found else 0)
 
 
-def drawn(rooms, count, seed):
-    """Return a random sample of all mutations of some rooms, the same for the same code and seed."""
+def drawn(rooms, count, seed, files=None):
+    """Return a random sample of all mutations of some rooms, or of some of their files; the same for code and seed."""
     paths = [path for room in rooms for path in sorted((PROJECT / "symsol_annot" / room).rglob("*.py"))]
+    if files:
+        paths = [PROJECT / name for name in files]
+        if lost := [name for name in files if not (PROJECT / name).is_file() or _room_of_file(name) not in rooms]:
+            raise SystemExit(f"{', '.join(lost)}: no file of {', '.join(rooms)}; name it as symsol_annot/ROOM/FILE.py")
     everything = [mutation for path in paths for mutation in mutations_of(path)]
     return random.Random(seed).sample(everything, min(count, len(everything)))
 
@@ -106,7 +112,7 @@ def tried(mutations, seconds):
     with tempfile.TemporaryDirectory() as place:
         for source, package in PACKAGES.items():
             shutil.copytree(PROJECT / source, Path(place, package), ignore=shutil.ignore_patterns("__pycache__"))
-        for room in {_room_of(mutation) for mutation in mutations}:
+        for room in {_room_of_file(mutation.file) for mutation in mutations}:
             if not passes(TESTS[room], place):
                 raise SystemExit(f"the tests of {room} fail without a mutation")
         for mutation in mutations:
@@ -123,7 +129,7 @@ def tried(mutations, seconds):
 
 def tests_of(mutation):
     """Return the tests that a mutation has to pass: first its module's, which are likely to notice, then its room's."""
-    room, name = _room_of(mutation), f"test_{Path(mutation.file).stem}.py"
+    room, name = _room_of_file(mutation.file), f"test_{Path(mutation.file).stem}.py"
     own = [path.relative_to(PROJECT) for path in (PROJECT / TESTS[room][0]).rglob(name)]
     return (*map(str, own), *TESTS[room])
 
@@ -178,8 +184,12 @@ def _changes(tree):
 
 
 def _no_values(node):
-    """Yield what in a node is no value: annotations and docstrings' kin, whose changes no test could notice."""
-    for part in (getattr(node, "annotation", None), getattr(node, "returns", None)):
+    """Yield what in a node is no value of its code: annotations, and what a decorator is told."""
+    for part in (
+        getattr(node, "annotation", None),
+        getattr(node, "returns", None),
+        *getattr(node, "decorator_list", ()),
+    ):
         if part is not None:
             yield from ast.walk(part)
 
@@ -205,8 +215,8 @@ def _with(node, **fields):
     return changed
 
 
-def _room_of(mutation):
-    return next(room for room in TESTS if mutation.file.startswith(f"symsol_annot/{room}/"))
+def _room_of_file(name):
+    return next((room for room in TESTS if name.startswith(f"symsol_annot/{room}/")), None)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,8 @@ def test_a_mutation_changes_the_expression_that_it_names_and_nothing_else(tmp_pa
     monkeypatch.setattr(mutations, "PROJECT", tmp_path)
     path = tmp_path / "it.py"
     path.write_text(
-        '"""It."""\n\n\ndef sum_of(a: int = 1) -> "list[int]":\n    return [a + 2] if not a < 3 else [-a]\n'
+        '"""It."""\n\n\n@cache(size=4)\n'
+        'def sum_of(a: int = 1) -> "list[int]":\n    return [a + 2] if not a < 3 else [-a]\n'
     )
     whole = ast.unparse(ast.parse(path.read_text()))
     changes = {(m.before, m.after) for m in mutations.mutations_of(path)}
@@ -57,4 +58,10 @@ def test_the_mutations_of_a_seed_are_the_same_and_of_the_rooms_that_were_asked_f
     drawn = mutations.drawn(["rotations"], 5, seed=1)
     assert drawn == mutations.drawn(["rotations"], 5, seed=1) != mutations.drawn(["rotations"], 5, seed=2)
     assert all(mutation.file.startswith("symsol_annot/rotations/") for mutation in drawn)
+    file = "symsol_annot/rotations/spreading.py"
+    of_file = mutations.drawn(mutations.TESTS, 1000, seed=0, files=[file])
+    assert sorted(m.number for m in of_file) == [m.number for m in mutations.mutations_of(mutations.PROJECT / file)]
+    for rooms, name in ((mutations.TESTS, "symsol_annot/errors.py"), (["annotation"], file), (["rotations"], "no.py")):
+        with pytest.raises(SystemExit, match=f"{name}: no file of {', '.join(rooms)}"):
+            mutations.drawn(rooms, 1, seed=0, files=[name])
     assert all((mutations.PROJECT / folder).is_dir() for folders in mutations.TESTS.values() for folder in folders)

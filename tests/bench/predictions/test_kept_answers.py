@@ -220,8 +220,7 @@ def run_writer(dataset, path, options=""):
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
-@pytest.mark.parametrize("first", ["callable", "array"])
-@pytest.mark.parametrize("second", ["callable", "array"])
+@pytest.mark.parametrize(("first", "second"), [("callable", "array"), ("array", "callable")])
 def test_of_two_writers_of_a_file_one_works_and_the_other_says_who_does(tetX, tmp_path, first, second):
     path = tmp_path / "preds.h5"
     process = start_writer(tetX, path, given_as=first, seconds=0.25)

@@ -15,6 +15,7 @@ from symsol_annot.errors import ScoresError
 from symsol_annot.plotting.canvas import write_figure
 
 REFERENCE = Path(__file__).resolve().parents[3] / "docs" / "results" / "reference"
+SHARES = ("recall", "precision")
 TRUTH, ROUNDED, SPREAD = (REFERENCE / f"{name}.json" for name in ("truth", "rounded-to-grid", "evenly-placed"))
 
 
@@ -24,6 +25,10 @@ def figures(monkeypatch):
     drawn = []
     monkeypatch.setattr(score_plots, "write_figure", lambda figure, _: drawn.append(figure))
     return drawn
+
+
+def rounded(points):
+    return {tuple(float(round(number, 9)) for number in point) for point in points}
 
 
 def of_file(path, name, track, stratum, metric, what="value"):
@@ -38,6 +43,13 @@ def test_points_are_how_much_of_the_sets_regions_hold_beside_the_diagonal(figure
     wanted = [of_file(TRUTH, "tetX", "density", "all", f"set_in_region_of_{q}_percent") for q in (50, 80, 90, 95, 99)]
     assert np.allclose(curve.get_xdata(), [0.5, 0.8, 0.9, 0.95, 0.99])
     assert np.allclose(curve.get_ydata(), wanted)
+    (area,) = axes.collections
+    ends = {
+        (q / 100, of_file(TRUTH, "tetX", "density", "all", f"set_in_region_of_{q}_percent", end))
+        for q in (50, 80, 90, 95, 99)
+        for end in ("low", "high")
+    }
+    assert rounded(area.get_paths()[0].vertices) == rounded(ends)
 
 
 def test_scores_of_before_regions_were_counted_are_refused_by_name(tmp_path):
@@ -62,6 +74,28 @@ def test_points_are_precision_and_recall_at_each_threshold(figures, stratum):
         for axis, what in ((line.get_xdata(), "recall"), (line.get_ydata(), "precision")):
             wanted = [of_file(path, "tetX", "classifier", stratum, f"{what}_above_{t:g}") for t in thresholds]
             assert np.allclose(axis, wanted)
+    named = {text.get_text(): text.xy for text in axes.texts[: len(axes.texts) // 2]}
+    assert named == {
+        f"{t:g}": tuple(of_file(TRUTH, "tetX", "classifier", stratum, f"{what}_above_{t:g}") for what in SHARES)
+        for t in (0.1, 0.5, 0.8, 0.99)
+    }
+    assert axes.get_title() == ("tetX" if stratum == "all" else "tetX, shown")
+
+
+@pytest.mark.parametrize(
+    ("draw", "are_both_shares"),
+    [
+        (score_plots.plot_precision_recall, True),
+        (score_plots.plot_calibration, True),
+        (score_plots.plot_coverage, False),
+    ],
+)
+def test_axes_of_shares_have_0_and_1_inside_with_a_narrow_margin(draw, are_both_shares, figures):
+    draw([TRUTH], Path("x.png"), "tetX")
+    (axes,) = figures[0].axes
+    for low, high in (axes.get_ylim(), axes.get_xlim())[: 1 + are_both_shares]:
+        assert -0.1 < low < 0
+        assert 1 < high < 1.1
 
 
 def test_points_are_coverage_and_accuracy_at_each_angle(figures):
@@ -73,13 +107,35 @@ def test_points_are_coverage_and_accuracy_at_each_angle(figures):
         wanted = [of_file(SPREAD, "cylO", "hypotheses", "all", f"{what}_at_{t}_deg") for t in (1, 2, 5, 10, 15, 30)]
         assert np.allclose(line.get_ydata(), wanted)
     for area, what in zip(axes.collections, ("coverage", "accuracy"), strict=True):
-        corners = {tuple(corner) for corner in area.get_paths()[0].vertices.round(9)}
-        wanted = {
-            (angle, round(of_file(SPREAD, "cylO", "hypotheses", "all", f"{what}_at_{angle}_deg", end), 9))
+        ends = {
+            (angle, of_file(SPREAD, "cylO", "hypotheses", "all", f"{what}_at_{angle}_deg", end))
             for angle in (1, 2, 5, 10, 15, 30)
             for end in ("low", "high")
         }
-        assert corners == wanted
+        assert rounded(area.get_paths()[0].vertices) == rounded(ends)
+    assert [text.get_text() for text in figures[0].legends[0].get_texts()] == [
+        f"{json.loads(SPREAD.read_text())['method']} (M = 30)", "coverage", "accuracy",
+    ]  # fmt: skip
+    assert axes.lines[0].get_label() == figures[0].legends[0].get_texts()[0].get_text()
+
+
+@pytest.mark.parametrize(
+    ("draw", "track", "metric", "at"),
+    [
+        (score_plots.plot_coverage, "hypotheses", "coverage_at_2_deg", 2),
+        (score_plots.plot_calibration, "density", "set_in_region_of_80_percent", 0.8),
+    ],
+)
+def test_an_interval_that_lacks_an_end_is_left_out(draw, track, metric, at, figures, tmp_path):
+    document = json.loads(TRUTH.read_text())
+    document["objects"]["tetX"][track]["all"][metric]["low"] = None
+    path = tmp_path / "scores.json"
+    path.write_text(json.dumps(document))
+    draw([path], Path("x.png"), "tetX")
+    (axes,) = figures[0].axes
+    across = axes.collections[0].get_paths()[0].vertices[:, 0]
+    assert len(across) > 4
+    assert at not in across
 
 
 NAMES = ["$a_{$", "cost $5 and $6", "_mine", "\u65e5\u672c\u8a9e"]

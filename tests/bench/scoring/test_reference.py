@@ -9,12 +9,13 @@ from symsol_annot.bench.predictions.truth import truth_of
 from symsol_annot.bench.scoring.reference import HYPOTHESES, ROWS, evenly_placed, score_row
 from symsol_annot.bench.scoring.reports.comparison import compare
 from symsol_annot.bench.scoring.reports.report import to_json
+from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.errors import ScoresError
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 
 LEVEL = 1  # 576 rotations
 GRID_REACH_RAD = np.radians(45.0)  # no rotation is that far from the nearest of them
-IMAGES = {"tetX": 20, "cylO": 9}
+IMAGES = {"tetX": 20, "cylO": 10}  # from 10 on, rotations are tried in other conventions
 NAMES = list(IMAGES)
 HYPOTHESES_SHARES = (
     "coverage_at_5_deg",
@@ -173,6 +174,13 @@ def test_saying_yes_to_every_query_looks_perfect_and_is_found_out(rows, name):
     assert found["grid_positive_rate"] == 0.0
     assert is_said_to_depend_on_being_asked(rows["yes-to-queries"], name)
     assert rows["yes-to-queries"]["ranks"] is False
+
+
+def test_no_row_has_a_note(rows, name):
+    entries = {row: document["objects"][name] for row, document in rows.items()}
+    tracks = [(row, track) for row, entry in entries.items() for track in SCORINGS if track in entry]
+    assert len(tracks) > len(ROWS)
+    assert [(row, track) for row, track in tracks if entries[row][track]["notes"]] == []
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row != "yes-to-queries"])

@@ -77,6 +77,8 @@ def test_scores_of_another_object_are_refused(documents, save):
         ("objects.tetX.per_image.strata.shown", [10**30], "strata is no table"),
         ("objects.tetX.per_image.strata.shown", [3, 3], "strata is no table"),
         ("objects.tetX.per_image.strata.shown", [[3]], "strata is no table"),
+        ("objects.tetX.per_image.decimals", 4, "per_image.decimals: expected 5 to 12"),
+        ("objects.tetX.per_image.decimals", 13, "per_image.decimals: expected 5 to 12"),
         ("objects.tetX.per_image.hypotheses", ..., "per_image.hypotheses is missing"),
         (
             "objects.tetX.per_image.hypotheses.coverage_at_5_deg",

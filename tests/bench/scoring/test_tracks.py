@@ -106,6 +106,7 @@ def test_a_new_track_is_scored_beside_the_others_by_image_and_by_member(guessed,
     assert found.per_image.weights["guess_error_rad"].tolist() == [1] * IMAGES
     assert found.per_image.weights["pooled_error_rad"].tolist() == scores.truth.set_sizes.tolist()
     assert found.figures["all"]["guess_error_rad"].value == pytest.approx(0.1, abs=1e-9)
+    assert not SCORINGS["guess"].is_exact(found.figures["all"])  # unless the track says which figures are
 
 
 def test_a_new_track_is_in_tables_and_comparisons_and_pictures(guessed, tetX, tmp_path):
