@@ -68,7 +68,11 @@ def _build(board: Leaderboard, folder: Path, out: Path, *, check: bool) -> None:
             draw(picture, place)
         write_atomically(out, page.encode())
     count = sum(len(results) for results in board.results.values())
-    say(f"{out}: {count} result{'' if count == 1 else 's'} on {len(board.sets)} set{'' if len(board.sets) == 1 else 's'}")
+    say(f"{out}: {_many(count, 'result')} on {_many(len(board.sets), 'set')}")
+
+
+def _many(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _refuse_differences(folder: Path, out: Path, page: str, of_pictures: list[str]) -> None:
