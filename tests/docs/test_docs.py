@@ -224,6 +224,9 @@ def test_the_table_of_attacks_is_what_was_recorded():
         earlier = [f"{before['cases']:,}", failed(before)] if before else ["", ""]
         cells = [kind, *earlier, f"{now['cases']:,}", failed(now)]
         assert f"| {' | '.join(cells)} | {now['slowest_s']} | {now['peak_mib']} |" in page
+    for kind, now in recorded["archives, BOP and meshes"]["kinds"].items():
+        cells = [kind, f"{now['cases']:,}", failed(now), str(now["slowest_s"]), str(now["peak_mib"])]
+        assert f"| {' | '.join(cells)} |" in page
 
 
 def failed(row):
