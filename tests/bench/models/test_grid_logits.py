@@ -38,7 +38,7 @@ def test_everywhere_they_are_the_network_s(asked):
     torch.testing.assert_close(on_grid.below_highest(embedding, np.inf), fine)
 
 
-@pytest.mark.parametrize("share", [0.05, 0.5])
+@pytest.mark.parametrize("share", [0.05, 0.3])
 def test_what_matters_is_the_network_s_and_the_rest_the_neighbour_s(asked, share):
     on_grid, embedding, fine, coarse = asked
     least = float(coarse.quantile(1.0 - share))
@@ -47,6 +47,11 @@ def test_what_matters_is_the_network_s_and_the_rest_the_neighbour_s(asked, share
     assert (expected != fine).any()
     torch.testing.assert_close(on_grid.above(embedding, least), expected)
     torch.testing.assert_close(on_grid.below_highest(embedding, float(coarse.max()) - least), expected)
+
+
+def test_where_most_of_the_grid_matters_all_of_it_is_asked(asked):
+    on_grid, embedding, fine, coarse = asked
+    torch.testing.assert_close(on_grid.above(embedding, float(coarse.quantile(0.2))), fine)
 
 
 def test_nothing_that_matters_is_the_grid_below(asked):

@@ -9,6 +9,7 @@ from symsol_annot.bench.models.networks.rotation_classifier import RotationClass
 from symsol_annot.rotations.grid import equivolumetric_grid, grid_index
 
 _SHARES_AT_ONCE = 2**15  # rotations
+_MOST_SHARE = 0.5  # of the grid: to gather more than that takes longer than to ask everywhere
 
 
 class GridLogits:
@@ -54,6 +55,8 @@ class GridLogits:
     def _refined(self, embedding: Tensor, below: Tensor, least: float) -> Tensor:
         found = below[self._nearest]
         matter = (found >= least).nonzero()[:, 0]
+        if len(matter) > _MOST_SHARE * len(found):
+            return self.everywhere(embedding)
         if len(matter):
             found[matter] = logits_at(self._model, embedding, self._shares[matter]).to(found.dtype)
         return found
