@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import mutations
 import pytest
 from attack.catalogue import KINDS
+from made_sets import make_set
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 STARTED_BY_OTHERS = {"attack/worker.py"}  # a module of a package, which takes its words from attack/harness.py
@@ -65,3 +67,14 @@ def test_the_mutations_of_a_seed_are_the_same_and_of_the_rooms_that_were_asked_f
         with pytest.raises(SystemExit, match=f"{name}: no file of {', '.join(rooms)}"):
             mutations.drawn(rooms, 1, seed=0, files=[name])
     assert all((mutations.PROJECT / folder).is_dir() for folders in mutations.TESTS.values() for folder in folders)
+
+
+def test_the_speed_of_a_training_is_measured_beside_the_bare_network(tmp_path):
+    folder = make_set(tmp_path, train=160, test=0, size=16, annotate="all")
+    words = [folder, "small-wta", "--rounds", "1", "--seconds", "0.1", "--json", tmp_path / "speed.json"]
+    subprocess.run(
+        [sys.executable, TOOLS / "perf" / "training.py", *words], check=True, capture_output=True, timeout=300
+    )
+    measured = json.loads((tmp_path / "speed.json").read_text())["small-wta"]
+    assert set(measured["images_per_second"]) == {"training", "network alone"}
+    assert 0.1 < measured["share"] < 3.0

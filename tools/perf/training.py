@@ -87,8 +87,7 @@ class _Training:
 
     def _step(self, number):
         batch = next(self._batches)
-        half_way = self._run._on_recipes_scale(self._run.record.epochs / 2)
-        loss = self._run._step_or_say_what_fits(batch, half_way, self._rng)
+        loss = self._run._step_or_say_what_fits(batch, self._run.record.epochs / 2, self._rng)
         if number % loop._STEPS_BETWEEN_CHECKS == 0:
             self._run._refuse_nan(float(loss), 0)
         return len(batch.images)
