@@ -20,12 +20,10 @@ from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.networks.answers import embeddings_of, logits_at
 from symsol_annot.bench.models.networks.backbones import BACKBONES
-from symsol_annot.bench.models.networks.grid_logits import GridLogits
 from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.validation import Figures, classifier_figures
 from symsol_annot.bench.predictions.counted import counted, grid_inside
 from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
-from symsol_annot.bench.predictions.tracks.classifier import DEFAULT_FLOOR
 from symsol_annot.bench.predictions.writing.submission import write_classifier
 from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_index, grid_size
 from symsol_annot.rotations.so3 import Rotations
@@ -34,10 +32,9 @@ from symsol_annot.sets.shard.labels import Labels
 
 _EVALUATED_AT_ONCE = 64  # images
 _CLAIM_LOGIT = float(np.log(STANDARD_THRESHOLD / (1.0 - STANDARD_THRESHOLD)))
-_LISTED_LOGIT = float(np.log(DEFAULT_FLOOR / (1.0 - DEFAULT_FLOOR)))
-_MARGIN = 8.0  # of a logit: by less it rises from the nearest rotation of the level below
 _SHIFTS = np.linspace(-8.0, 8.0, 65)
 _NOWHERE = np.zeros(0, dtype=np.int64)
+_SHARES_AT_ONCE = 2**15  # rotations
 _NEAR_RAD, _NEAR_CIRCLE_RAD, _FAR_SAMPLE = np.radians(15.0), np.radians(6.0), 8192
 
 
@@ -206,27 +203,27 @@ def _probabilities_by_index(
 ) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
     """Return a callable from an image's index and rotations (n, 3, 3) to probabilities (n,).
 
-    On the grid they are worked out where they could reach the probability from which a file lists them.
+    What the grid's rotations bring to the second stage is worked out once for all images.
     """
-    grid = equivolumetric_grid(level)
-    least = _LISTED_LOGIT - shift - _MARGIN
 
     @lru_cache(maxsize=1)
     def embedding_of(i: int) -> Tensor:
         return embeddings_of(model, torch.from_numpy(dataset[i].image)[None], 1)[0]
 
-    @lru_cache(maxsize=1)
-    def on_grid() -> GridLogits:
-        return GridLogits(model, level)
-
     @torch.no_grad()
-    def logits_of(embedding: Tensor, R: Rotations) -> Tensor:
-        return logits_at(model, embedding, model.shares(torch.from_numpy(R.astype(np.float32)).to(model.device)))
+    def shares_of(R: Rotations) -> Tensor:
+        parts = torch.split(torch.from_numpy(R.astype(np.float32)).to(model.device), _SHARES_AT_ONCE)
+        return torch.cat([model.shares(part) for part in parts])
+
+    grid = equivolumetric_grid(level)
+
+    @lru_cache(maxsize=1)
+    def shares_of_grid() -> Tensor:
+        return shares_of(grid)
 
     def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
-        embedding = embedding_of(i)
-        logits = on_grid().above(embedding, least) if np.array_equal(R, grid) else logits_of(embedding, R)
-        answers: npt.NDArray[np.float32] = (logits + shift).sigmoid().cpu().numpy()
+        shares = shares_of_grid() if np.array_equal(R, grid) else shares_of(R)
+        answers: npt.NDArray[np.float32] = (logits_at(model, embedding_of(i), shares) + shift).sigmoid().cpu().numpy()
         return answers
 
     return classify

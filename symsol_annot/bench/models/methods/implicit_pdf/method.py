@@ -18,7 +18,6 @@ from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRec
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.networks.answers import embeddings_of, logits_at
 from symsol_annot.bench.models.networks.backbones import BACKBONES
-from symsol_annot.bench.models.networks.grid_logits import GridLogits
 from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.validation import Figures
 from symsol_annot.bench.predictions.writing.submission import write_density
@@ -29,8 +28,8 @@ from symsol_annot.sets.shard.labels import Labels
 
 _EVALUATED, _EVALUATION_LEVEL = 128, 3  # images, level of the grid: of a softmax that R_gt is added to
 _EMBEDDED_AT_ONCE = 64  # images
+_SHARES_AT_ONCE = 2**15  # rotations
 _FLOOR = 1e-9  # of a cell's probability: a file of 5,000 images stays small
-_DEPTH = 16.0  # below the highest logit: cells with a ten-millionth of its density get their neighbourhood's
 
 
 class ImplicitPdfLearner:
@@ -105,12 +104,14 @@ def _log_densities_by_index(
     embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _EMBEDDED_AT_ONCE)
 
     @lru_cache(maxsize=1)
-    def on_grid() -> GridLogits:
-        return GridLogits(model, level)
+    @torch.no_grad()
+    def shares_of_grid() -> Tensor:
+        grid = torch.from_numpy(equivolumetric_grid(level)).float().to(model.device)
+        return torch.cat([model.shares(part) for part in torch.split(grid, _SHARES_AT_ONCE)])
 
     def log_density(i: int, _: Rotations) -> npt.NDArray[np.float32]:
         embedding = embeddings_in(i // BLOCK)[i % BLOCK]
-        logits: npt.NDArray[np.float32] = on_grid().below_highest(embedding, _DEPTH).cpu().numpy()
+        logits: npt.NDArray[np.float32] = logits_at(model, embedding, shares_of_grid()).cpu().numpy()
         return logits
 
     return log_density
