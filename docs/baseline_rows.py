@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from symsol_annot.bench.leaderboard.results import SET, THESIS
+from symsol_annot.bench.models.kinds import kind_of
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.retrieval import retrieval
 from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE
@@ -101,7 +102,9 @@ class Row:
     def predict_command(self, name: str) -> list[str]:
         """Return the words that predict an object's test images."""
         run = f"{name}-{self.name}"
-        return ["symsol-annot", "predict", f"runs/{run}", "--data", self.data, "--out", f"{run}.h5"]
+        kind = kind_of(load_recipe(self.recipe).for_object(name, has_marking=False))
+        asked = ["--precision", "auto"] if kind.scores_rotations and self.tier == "published" else []
+        return ["symsol-annot", "predict", f"runs/{run}", "--data", self.data, "--out", f"{run}.h5", *asked]
 
     def score_command(self, names: list[str]) -> list[str]:
         """Return the words that score the predictions."""

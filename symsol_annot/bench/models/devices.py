@@ -10,7 +10,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor, nn
 
-from symsol_annot.bench.models.recipe_keys import AUTO, BFLOAT16, LEAST_BFLOAT16_SIZE
+from symsol_annot.bench.models.recipe_keys import AUTO, BFLOAT16, FLOAT32, LEAST_BFLOAT16_SIZE
 from symsol_annot.errors import ModelError, SettingsError
 
 T = TypeVar("T")
@@ -66,7 +66,7 @@ def _cpu_words() -> frozenset[str]:
 
 
 def takes_bfloat16(device: torch.device, precision: str, side: int) -> bool:
-    """Tell whether a backbone is trained in bfloat16; predictions are in float32 everywhere.
+    """Tell whether a network is trained in bfloat16: its backbone, and what scores rotations of a classifier's kind.
 
     Args:
         device: that it is trained on.
@@ -89,7 +89,7 @@ def laid_out_for(device: torch.device, model: Model) -> Model:
 
 
 @contextlib.contextmanager
-def backbone_precision(images: Tensor, precision: str) -> Iterator[None]:
+def training_precision(images: Tensor, precision: str) -> Iterator[None]:
     """Run what is inside in bfloat16 where `takes_bfloat16`, of images (B, H, W, 3) on their device."""
     device = images.device
     with torch.autocast(device.type, torch.bfloat16, enabled=takes_bfloat16(device, precision, images.shape[1])):
@@ -105,6 +105,25 @@ def full_precision(*, benchmark: bool = False) -> Iterator[None]:
     """
     with torch.backends.cudnn.flags(enabled=True, benchmark=benchmark, allow_tf32=False):
         yield
+
+
+def products_precision(device: torch.device, precision: str) -> str:
+    """Return in which precision a device multiplies when it scores rotations: "float32" or "bfloat16".
+
+    Args:
+        device: that a model is asked on.
+        precision: "float32", "bfloat16", or "auto", bfloat16 on a CPU that computes in it.
+
+    Raises:
+        SettingsError: bfloat16 on a GPU, or on a CPU that does not compute in it.
+    """
+    has = device.type == "cpu" and has_bfloat16(device)
+    if precision == BFLOAT16 and not has:
+        raise SettingsError(
+            f"precision: bfloat16 is for CPUs that compute in it, which {hardware(device)} does not; "
+            "take --precision float32"
+        )
+    return BFLOAT16 if has and precision != FLOAT32 else FLOAT32
 
 
 def free_bytes(device: torch.device) -> int:

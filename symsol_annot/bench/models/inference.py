@@ -1,4 +1,4 @@
-"""From a trained model to a predictions file, in float32 on any device."""
+"""From a trained model to a predictions file, in float32 unless bfloat16 is asked for."""
 
 import hashlib
 from pathlib import Path
@@ -6,10 +6,11 @@ from pathlib import Path
 import torch
 
 import symsol_annot
-from symsol_annot.bench.models.devices import full_precision
+from symsol_annot.bench.models.devices import full_precision, products_precision
 from symsol_annot.bench.models.kinds import kind_of
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.recipe import recipe_to_toml
+from symsol_annot.bench.models.recipe_keys import FLOAT32
 from symsol_annot.bench.models.training.checkpoints import Checkpoint
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.sets.dataset import Dataset
@@ -23,6 +24,7 @@ def predict(
     *,
     method: str | None = None,
     level: int = STANDARD_LEVEL,
+    precision: str = FLOAT32,
 ) -> tuple[str, ...]:
     """Write a model's predictions about a split; where that was stopped, the same model goes on with what is left.
 
@@ -33,11 +35,14 @@ def predict(
         device: what the model runs on.
         method: what the file says it is by; the recipe's name by default.
         level: of the grid a classifier is asked on; only the standard one ranks.
+        precision: of the matrix products that score rotations: "float32", "bfloat16", or "auto", bfloat16 on a CPU that
+            computes in it. Kinds of models that score none compute in float32.
 
     Returns:
         The names of the tracks.
 
     Raises:
+        SettingsError: the device does not compute in that precision.
         ModelError: the model was trained on another object or size of image, or the device has too little memory.
         NotAnnotatedError: the split has no symmetry sets.
         PredictionsError: the file is there and about something else, or another model's answers are kept beside it.
@@ -45,19 +50,24 @@ def predict(
     """
     checkpoint.refuse_other_images(dataset)
     kind = kind_of(checkpoint.record.recipe)
-    by, who = method or checkpoint.record.name, identity(checkpoint)
+    products = products_precision(device, precision) if kind.scores_rotations else FLOAT32
+    by, who = method or checkpoint.record.name, identity(checkpoint, products)
     with full_precision():
         model = checkpoint.model.to(device)
-        asked = Asked(by, level, who, checkpoint.record.calibration)
+        asked = Asked(by, level, who, checkpoint.record.calibration, products)
         kind.method.write_predictions(model, checkpoint.record.recipe, dataset, path, asked)
     return kind.tracks
 
 
-def identity(checkpoint: Checkpoint) -> str:
-    """Return a name of a model by what decides its answers: weights, recipe, and the version of the program that asks.
+def identity(checkpoint: Checkpoint, products: str = FLOAT32) -> str:
+    """Return a name of a model by what decides its answers: weights, recipe, precision, and the program's version.
 
-    The device does not, nor does torch's version: all compute in float32, and differ by its rounding. The checkpoint's
-    path and the epochs that follow it do not either.
+    The device does not, nor does torch's version: they differ by rounding. The checkpoint's path and the epochs that
+    follow it do not either.
+
+    Args:
+        checkpoint: of the model.
+        products: the precision of the matrix products that score rotations.
 
     Returns:
         A line for people to read, equal for equal models alone (by SHA-256).
@@ -68,4 +78,5 @@ def identity(checkpoint: Checkpoint) -> str:
         digest.update(f"\0{name} {tensor.dtype} {tuple(tensor.shape)}\0".encode())
         digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
     done = f"{record.epochs_done} of {record.epochs} epochs"
-    return f"{record.name} after {done}, SHA-256 {digest.hexdigest()}, by symsol-annot {symsol_annot.__version__}"
+    by = f"symsol-annot {symsol_annot.__version__}" + ("" if products == FLOAT32 else f" in {products}")
+    return f"{record.name} after {done}, SHA-256 {digest.hexdigest()}, by {by}"

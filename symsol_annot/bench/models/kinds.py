@@ -25,6 +25,7 @@ class ModelKind:
         tracks: of its predictions.
         best_by: the metric by which the best epoch is chosen.
         module: has METHOD; by its name, as recipes are read without torch.
+        scores_rotations: whether it is asked by scoring each rotation of the grid with a network.
     """
 
     name: str
@@ -33,6 +34,7 @@ class ModelKind:
     tracks: tuple[str, ...]
     best_by: str
     module: str
+    scores_rotations: bool = False
 
     @property
     def method(self) -> Method:
@@ -60,6 +62,7 @@ MODEL_KINDS = {
             tracks=("classifier",),
             best_by="f_measure",
             module=f"{_METHODS}.classifier.method",
+            scores_rotations=True,
         ),
         ModelKind(
             name="mixture",
@@ -76,6 +79,7 @@ MODEL_KINDS = {
             tracks=("density",),
             best_by="log_likelihood_at_gt",
             module=f"{_METHODS}.implicit_pdf.method",
+            scores_rotations=True,
         ),
         ModelKind(
             name="diffusion",

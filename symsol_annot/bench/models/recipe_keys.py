@@ -38,7 +38,7 @@ class TrainingKeys:
         milestones: after how many epochs each but the first begins.
         validation_images: how many images, the last of the train split, are evaluated after each epoch, not learnt.
         input_size: the side in pixels that images are reduced to, by area averages, once; 0 leaves them as they are.
-        precision: of the backbone: "bfloat16", "float32", or "auto", bfloat16 where the device computes in it.
+        precision: of training: "bfloat16", "float32", or "auto", bfloat16 where the device computes in it.
         schedule: of the learning rate: "steps", between the milestones, or "cosine", from the one there is to nearly 0.
         warm_up: for how many epochs the learning rate rises from 0, a fraction as a rule.
         clip_norm: the longest gradient of a step, which longer ones are scaled to; 0 leaves them as they are.

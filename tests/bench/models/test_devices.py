@@ -1,10 +1,16 @@
-"""What fits into a device's memory, and in which precision a backbone runs on it."""
+"""What fits into a device's memory, and in which precision a network runs on it."""
 
 import pytest
 import torch
 
 from symsol_annot.bench.models import devices
-from symsol_annot.bench.models.devices import has_bfloat16, largest_that_fits, takes_bfloat16
+from symsol_annot.bench.models.devices import (
+    has_bfloat16,
+    largest_that_fits,
+    products_precision,
+    takes_bfloat16,
+)
+from symsol_annot.errors import SettingsError
 
 CPU = torch.device("cpu")
 
@@ -63,3 +69,24 @@ def test_auto_takes_bfloat16_of_images_whose_gradients_are_right(cpu_says):
     cpu_says("avx2")
     assert not takes_bfloat16(CPU, "auto", 224)
     assert takes_bfloat16(CPU, "bfloat16", 224)  # which a training refuses before
+
+
+@pytest.mark.parametrize(
+    ("flags", "asked", "found"),
+    [
+        ("avx2", "float32", "float32"),
+        ("avx2", "auto", "float32"),
+        ("amx_bf16", "float32", "float32"),
+        ("amx_bf16", "auto", "bfloat16"),
+        ("amx_bf16", "bfloat16", "bfloat16"),
+    ],
+)
+def test_rotations_are_scored_in_bfloat16_where_that_is_asked_for_and_fast(cpu_says, flags, asked, found):
+    cpu_says(flags)
+    assert products_precision(CPU, asked) == found
+
+
+def test_bfloat16_is_refused_where_products_are_not_faster_in_it(cpu_says):
+    cpu_says("avx2")
+    with pytest.raises(SettingsError, match=r"bfloat16 is for CPUs that compute in it, .* take --precision float32"):
+        products_precision(CPU, "bfloat16")

@@ -11,6 +11,7 @@ import torch
 from bench_sets import small_set
 from made_sets import make_set
 
+from symsol_annot.bench.models import devices
 from symsol_annot.bench.models.inference import identity, predict
 from symsol_annot.bench.models.methods.classifier import method as classifier_method
 from symsol_annot.bench.models.methods.hypotheses import method as hypothesis_method
@@ -70,6 +71,36 @@ def test_probabilities_are_the_models_at_the_queries_and_on_the_grid(few_images,
             dense[file["grid_indices"][start:end]] = file["grid_probabilities"][start:end]
             np.testing.assert_allclose(dense, on_grid, atol=1e-5)
             assert end - start == len(grid)
+
+
+@pytest.fixture
+def has_bfloat16(monkeypatch):
+    monkeypatch.setattr(devices, "has_bfloat16", lambda _: True)
+
+
+@pytest.mark.usefixtures("has_bfloat16")
+def test_bfloat16_scores_rotations_to_its_own_rounding(few_images, tmp_path):
+    given, found = checkpoint("small-classifier"), {}
+    given.model.second_stage.logit.bias.data += 1.5
+    for precision in ("float32", "bfloat16", "auto"):
+        predict(given, few_images, tmp_path / precision, CPU, level=1, precision=precision)
+        found[precision] = columns(tmp_path / precision)["query_probability"]
+    np.testing.assert_allclose(found["bfloat16"], found["float32"], atol=5e-3)
+    np.testing.assert_array_equal(found["bfloat16"], found["auto"])
+
+
+@pytest.mark.usefixtures("has_bfloat16")
+def test_answers_in_another_precision_are_not_resumed(few_images, tmp_path, monkeypatch):
+    stop(monkeypatch, checkpoint("small-classifier"), few_images, tmp_path / "preds.h5", precision="bfloat16")
+    with pytest.raises(PredictionsError, match="in bfloat16"):
+        predict(checkpoint("small-classifier"), few_images, tmp_path / "preds.h5", CPU, level=0)
+
+
+@pytest.mark.usefixtures("has_bfloat16")
+def test_a_network_that_scores_no_rotations_answers_in_float32(few_images, tmp_path):
+    for precision in ("float32", "bfloat16"):
+        predict(checkpoint("small-wta"), few_images, tmp_path / precision, CPU, precision=precision)
+    assert (tmp_path / "float32").read_bytes() == (tmp_path / "bfloat16").read_bytes()
 
 
 def test_a_model_of_another_object_or_size_is_refused(few_images, tmp_path):

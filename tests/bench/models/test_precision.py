@@ -1,4 +1,4 @@
-"""What a GPU does otherwise, on a CPU: a backbone in bfloat16, and weights with an image's channels side by side."""
+"""What a GPU does otherwise, on a CPU: networks in bfloat16, and weights with an image's channels side by side."""
 
 from dataclasses import replace
 
@@ -80,7 +80,7 @@ def test_losses_fall_and_the_record_says_in_which_precision(trained):
     record = read_record(folder / "weights.safetensors")
     losses = [row["loss"] for row in record.rows]
     assert np.mean(losses[-2:]) < 0.9 * np.mean(losses[:2]), name
-    assert record.software["precision"] == "bfloat16 backbone"
+    assert record.software["precision"] == "bfloat16"
 
 
 def test_files_hold_finite_numbers_of_32_bits(trained):
@@ -113,7 +113,7 @@ def test_going_on_gives_the_weights_of_not_stopping(trained, images, tmp_path):
 
 
 @pytest.mark.parametrize("name", RECIPES)
-def test_training_has_the_backbone_alone_in_16_bits_and_figures_all_in_32(name, images, tmp_path, seen, monkeypatch):
+def test_training_has_products_in_16_bits_answers_and_figures_in_32(name, images, tmp_path, seen, monkeypatch):
     recipe = replace(RECIPES[name], **({"frozen_epochs": 0} if name == "classifier" else {}))
     kind = {"hypotheses": HypothesisLearner, "classifier": ClassifierLearner}[name]
     evaluate, in_training, layouts = kind.evaluate, set(), set()
@@ -134,8 +134,9 @@ def test_training_has_the_backbone_alone_in_16_bits_and_figures_all_in_32(name, 
     assert ("Conv2d", torch.bfloat16) in in_training
     assert ("Conv2d", torch.float32) not in in_training
     whole = {"hypotheses": "HypothesisNetwork", "classifier": "_SecondStage"}[name]
-    last = "Linear" if name == "hypotheses" else whole
-    assert (last, torch.float32) in in_training
+    assert ("Linear", torch.float32) in in_training  # the last, which answers
+    assert ("Linear", torch.bfloat16) in in_training
+    assert (whole, torch.bfloat16) not in in_training
     assert ("Linear" if name == "classifier" else whole, torch.float32) in seen
     assert {dtype for _, dtype in seen} == {torch.float32}
 

@@ -1,5 +1,6 @@
 """The classifier of rotations against its equations, written again in numpy."""
 
+import contextlib
 import math
 import re
 
@@ -8,6 +9,7 @@ import pytest
 import torch
 from reference_models import classifier, pictures, rotations, seeded, with_statistics
 
+from symsol_annot.bench.models.networks.answers import matrix_products
 from symsol_annot.bench.models.networks.rotation_classifier import positional_encoding
 from symsol_annot.errors import RotationError
 
@@ -72,3 +74,13 @@ def test_one_pass_of_the_backbone_answers_any_number_of_rotations():
 def test_rotations_of_another_shape_are_refused(shape):
     with pytest.raises(RotationError, match=re.escape(str(shape))):
         classifier().logits(torch.zeros(2, 256), torch.zeros(shape))
+
+
+def test_the_precision_of_products_is_that_of_before_afterwards():
+    before = torch.get_float32_matmul_precision()
+    with matrix_products("bfloat16"):
+        assert torch.get_float32_matmul_precision() == "medium"
+    assert torch.get_float32_matmul_precision() == before
+    with contextlib.suppress(KeyError), matrix_products("bfloat16"):
+        raise KeyError
+    assert torch.get_float32_matmul_precision() == before

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from symsol_annot.bench.models.recipe_keys import FLOAT32
+
 if TYPE_CHECKING:
     import torch
     from torch import Tensor
@@ -28,12 +30,14 @@ class Asked:
         level: of the grid that it is asked on.
         resume: names the model: kept answers of another are refused.
         calibration: what was fitted on validation images, by names.
+        products: the precision of the matrix products that score rotations, "float32" or "bfloat16".
     """
 
     method: str
     level: int
     resume: str
     calibration: Mapping[str, float]
+    products: str = FLOAT32
 
 
 class Learner(Protocol):

@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from symsol_annot.bench.models.networks.backbones import RESNET18, Backbone
 from symsol_annot.bench.models.networks.first_stage import EMBEDDING_SIZE
-from symsol_annot.bench.models.networks.reference_model import ReferenceModel, single_or_double
+from symsol_annot.bench.models.networks.reference_model import ReferenceModel
 from symsol_annot.errors import RotationError, SettingsError
 
 HIDDEN_SIZE = 256  # of the classifier's two hidden layers
@@ -69,7 +69,7 @@ class RotationClassifier(ReferenceModel):
                 f"expected rotations (Q, 3, 3) or ({len(embeddings)}, Q, 3, 3), for {len(embeddings)} images, "
                 f"found {tuple(R.shape)}"
             )
-        return single_or_double(self.second_stage(embeddings, positional_encoding(R.flatten(-2), self.frequencies)))
+        return self.second_stage(embeddings, positional_encoding(R.flatten(-2), self.frequencies))
 
     def shares(self, R: Tensor) -> Tensor:
         """Return what rotations (Q, 3, 3) bring to the second stage's first layer (Q, 256), for all images the same."""
@@ -77,7 +77,7 @@ class RotationClassifier(ReferenceModel):
 
     def logits_from_shares(self, embedding: Tensor, shares: Tensor) -> Tensor:
         """Return the logits (Q,) of one embedded image (E,) at rotations with such shares (Q, 256)."""
-        return single_or_double(self.second_stage.from_shares(embedding[None], shares)[0])
+        return self.second_stage.from_shares(embedding[None], shares)[0]
 
 
 class _SecondStage(nn.Module):
@@ -101,7 +101,9 @@ class _SecondStage(nn.Module):
     def from_shares(self, embeddings: Tensor, of_rotations: Tensor) -> Tensor:
         of_embedding = self.entry.weight[:, :EMBEDDING_SIZE]
         x = functional.relu(functional.linear(embeddings, of_embedding, self.entry.bias)[:, None] + of_rotations)
-        logits: Tensor = self.logit(functional.relu(self.hidden(x)))
+        hidden = functional.relu(self.hidden(x))
+        with torch.autocast(x.device.type, enabled=False):  # bfloat16 would round a logit of 20 by 0.06
+            logits: Tensor = self.logit(hidden.to(self.logit.weight.dtype))
         return logits.squeeze(-1)
 
 

@@ -318,7 +318,7 @@ def new_record(recipe: Recipe, dataset: Dataset, options: Options, device: torch
         seed=options.seed,
         first_stage=recipe.start,
         rows=(),
-        software=software(device, "bfloat16 backbone" if takes_bfloat16(device, recipe.precision, side) else "float32"),
+        software=software(device, "bfloat16" if takes_bfloat16(device, recipe.precision, side) else "float32"),
     )
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from symsol_annot.bench.models.batches import Batch
-from symsol_annot.bench.models.devices import backbone_precision
+from symsol_annot.bench.models.devices import training_precision
 from symsol_annot.bench.models.loss_tables import CLASSIFICATION
 from symsol_annot.bench.models.methods.classifier.negatives import hard_negatives, near_negatives, random_rotations
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
@@ -52,11 +52,10 @@ class ClassifierLearner:
         `negatives_weight` w in place of K the loss is least at f = p / (p + w), with p the density of right rotations,
         1 / h inside the volume and 0 outside: as h is 1 at most, f is at least 1 / (1 + w) inside.
         """
-        with backbone_precision(batch.images, self.recipe.precision):
-            embeddings = self.model.first_stage(batch.images)
         right = self._right(batch, rng)
         wrong, weights = self._wrong(batch, rng)
-        logits = self.model.logits(embeddings.float(), torch.cat([right, wrong], dim=1))
+        with training_precision(batch.images, self.recipe.precision):
+            logits = self.model.logits(self.model.first_stage(batch.images), torch.cat([right, wrong], dim=1))
         at_right, at_wrong = logits[:, : right.shape[1]], logits[:, right.shape[1] :]
         if right.shape[1] == 1 and weights is None:
             return CLASSIFICATION.function(at_right[:, 0], at_wrong)
@@ -193,13 +192,13 @@ class ClassifierMethod:
     ) -> None:
         """Write the probabilities of queries and grid rotations for a split's images."""
         shift, size = asked.calibration.get("logit_shift", 0.0), grid_size(asked.level)
-        classify = _probabilities_by_index(model, dataset, asked.level, shift)
+        classify = _probabilities_by_index(model, dataset, asked.level, shift, asked.products)
         by, level, resume = asked.method, asked.level, asked.resume
         write_classifier(path, dataset, classify, method=by, level=level, batch_size=size, resume=resume)
 
 
 def _probabilities_by_index(
-    model: RotationClassifier, dataset: Dataset, level: int, shift: float
+    model: RotationClassifier, dataset: Dataset, level: int, shift: float, products: str
 ) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
     """Return a callable from an image's index and rotations (n, 3, 3) to probabilities (n,).
 
@@ -223,7 +222,8 @@ def _probabilities_by_index(
 
     def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
         shares = shares_of_grid() if np.array_equal(R, grid) else shares_of(R)
-        answers: npt.NDArray[np.float32] = (logits_at(model, embedding_of(i), shares) + shift).sigmoid().cpu().numpy()
+        logits = logits_at(model, embedding_of(i), shares, products) + shift
+        answers: npt.NDArray[np.float32] = logits.sigmoid().cpu().numpy()
         return answers
 
     return classify

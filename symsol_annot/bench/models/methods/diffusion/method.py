@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from symsol_annot.bench.models.batches import Batch
-from symsol_annot.bench.models.devices import backbone_precision
+from symsol_annot.bench.models.devices import training_precision
 from symsol_annot.bench.models.methods.classifier.negatives import random_rotations
 from symsol_annot.bench.models.methods.diffusion.heat_kernel import LEAST_RAD, MOST_RAD, HeatKernel
 from symsol_annot.bench.models.methods.diffusion.recipe import DiffusionRecipe
@@ -53,9 +53,8 @@ class DiffusionLearner:
         """Return the mean square (B,) of what is wrong with sigma times the score, over an image's draws."""
         level, xi, wanted = self._kernel.draw((len(batch.images), self.recipe.draws), rng)
         noisy = batch.R_gt[:, None] @ roma.rotvec_to_rotmat(xi)
-        with backbone_precision(batch.images, self.recipe.precision):
-            embeddings = self.model.first_stage(batch.images)
-        told = self.model.scores(embeddings.float(), noisy, self._kernel.sigma[level])
+        with training_precision(batch.images, self.recipe.precision):
+            told = self.model.scores(self.model.first_stage(batch.images), noisy, self._kernel.sigma[level])
         return (told - wanted).square().sum(-1).mean(1)
 
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:

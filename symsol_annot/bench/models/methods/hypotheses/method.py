@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from symsol_annot.bench.models.batches import Batch, decode_images
-from symsol_annot.bench.models.devices import as_memory_allows, backbone_precision
+from symsol_annot.bench.models.devices import as_memory_allows, training_precision
 from symsol_annot.bench.models.loss_tables import EMBEDDED_LOSSES, META_LOSSES
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
 from symsol_annot.bench.models.methods.method import Asked
@@ -36,7 +36,7 @@ class HypothesisLearner:
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the meta losses (B,)."""
-        with backbone_precision(batch.images, self.recipe.precision):
+        with training_precision(batch.images, self.recipe.precision):
             embeddings = self.model.first_stage(batch.images)
         hypotheses = self.model.from_embeddings(embeddings.float())  # in 32 bits: 0.1 degrees of 16 would show
         of_each = self._embedded.function(

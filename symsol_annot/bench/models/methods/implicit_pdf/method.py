@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from symsol_annot.bench.models.batches import Batch
-from symsol_annot.bench.models.devices import backbone_precision
+from symsol_annot.bench.models.devices import training_precision
 from symsol_annot.bench.models.methods.classifier.negatives import random_rotations
 from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRecipe
@@ -40,10 +40,10 @@ class ImplicitPdfLearner:
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return -ln p(R_gt) (B,), relative to uniform: of the softmax over it and uniform rotations (eq. 5 there)."""
-        with backbone_precision(batch.images, self.recipe.precision):
-            embeddings = self.model.first_stage(batch.images)
         others = random_rotations((len(batch.images), self.recipe.queries - 1), rng)
-        logits = self.model.logits(embeddings.float(), torch.cat([batch.R_gt[:, None], others], dim=1))
+        queries = torch.cat([batch.R_gt[:, None], others], dim=1)
+        with training_precision(batch.images, self.recipe.precision):
+            logits = self.model.logits(self.model.first_stage(batch.images), queries)
         return torch.logsumexp(logits, dim=1) - math.log(self.recipe.queries) - logits[:, 0]
 
     @torch.no_grad()
@@ -91,14 +91,14 @@ class ImplicitPdfMethod:
     ) -> None:
         """Write the densities of a split's images on the grid."""
         level = asked.level
-        log_density = _log_densities_by_index(model, recipe, dataset, level)
+        log_density = _log_densities_by_index(model, recipe, dataset, level, asked.products)
         size = len(equivolumetric_grid(level))
         by, resume = asked.method, asked.resume
         write_density(path, dataset, log_density, method=by, floor=_FLOOR, level=level, batch_size=size, resume=resume)
 
 
 def _log_densities_by_index(
-    model: RotationClassifier, recipe: ImplicitPdfRecipe, dataset: Dataset, level: int
+    model: RotationClassifier, recipe: ImplicitPdfRecipe, dataset: Dataset, level: int, products: str
 ) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
     """Return a callable from an image's index, and the whole grid, to logits (N,): log-densities up to a constant."""
     embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _EMBEDDED_AT_ONCE)
@@ -111,7 +111,7 @@ def _log_densities_by_index(
 
     def log_density(i: int, _: Rotations) -> npt.NDArray[np.float32]:
         embedding = embeddings_in(i // BLOCK)[i % BLOCK]
-        logits: npt.NDArray[np.float32] = logits_at(model, embedding, shares_of_grid()).cpu().numpy()
+        logits: npt.NDArray[np.float32] = logits_at(model, embedding, shares_of_grid(), products).cpu().numpy()
         return logits
 
     return log_density

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from symsol_annot.bench.models.batches import Batch
-from symsol_annot.bench.models.devices import backbone_precision
+from symsol_annot.bench.models.devices import training_precision
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.calibration import fit
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
@@ -43,7 +43,7 @@ class MixtureLearner:
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the losses (B,)."""
-        with backbone_precision(batch.images, self.recipe.precision):
+        with training_precision(batch.images, self.recipe.precision):
             embeddings = self.model.first_stage(batch.images)
         told = self.model.told(embeddings.float(), is_directed=self._body.is_directed)
         if self.recipe.structure == FREE:
