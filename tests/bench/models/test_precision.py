@@ -134,8 +134,9 @@ def test_training_has_products_in_16_bits_answers_and_figures_in_32(name, images
     assert ("Conv2d", torch.bfloat16) in in_training
     assert ("Conv2d", torch.float32) not in in_training
     whole = {"hypotheses": "HypothesisNetwork", "classifier": "_SecondStage"}[name]
-    assert ("Linear", torch.float32) in in_training  # the last, which answers
+    answers = {"hypotheses": "Linear", "classifier": whole}[name]
     assert ("Linear", torch.bfloat16) in in_training
+    assert (answers, torch.float32) in in_training
     assert (whole, torch.bfloat16) not in in_training
     assert ("Linear" if name == "classifier" else whole, torch.float32) in seen
     assert {dtype for _, dtype in seen} == {torch.float32}

@@ -1,7 +1,7 @@
 """ResNet-18 as a backbone, in torchvision's names, so that its ImageNet weights fit (He et al., CVPR 2016)."""
 
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -64,13 +64,56 @@ def _convolved(convolution: nn.Conv2d, x: Tensor) -> Tensor:
     Where x has at most 2x2 pixels, much of the 3x3 weights meets padding alone, and what is left is a matrix product.
     On a CPU, torch's convolution of 1x1 pixels and its gradients are half of a training at 32 pixels.
     """
-    size = x.shape[-1]
+    size, stride = x.shape[-1], convolution.stride[0]
     if x.shape[-2] != size or size > _LARGEST_PRODUCT or not x.is_cpu:
         return cast("Tensor", convolution(x))
-    places = range(0, size, convolution.stride[0])
+    if (size, stride) == (2, 1):
+        return cast("Tensor", _ConvolvedFour.apply(x, convolution.weight))  # type: ignore[no-untyped-call]
+    places = range(0, size, stride)
     met = [convolution.weight[..., 1 - i : 1 - i + size, 1 - j : 1 - j + size] for i in places for j in places]
     matrix = torch.stack(met, dim=1).flatten(2).flatten(0, 1)  # (C' H' W', C H W)
     return functional.linear(x.flatten(1), matrix).view(len(x), -1, len(places), len(places))
+
+
+class _ConvolvedFour(torch.autograd.Function):
+    """The convolution of 2x2 pixels, with stride 1: each meets each, through one of the nine places of the weights.
+
+    All pixels are multiplied by all nine places at once, and the products that meet are added up: 36 products for 16,
+    but the weights are copied once, as each place's matrix, where a matrix of what meets would hold them four times.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor) -> Tensor:
+        """Return the convolution (B, C', 2, 2) of x (B, C, 2, 2) with weights (C', C, 3, 3)."""
+        images, channels_in = x.shape[:2]
+        of_places = weight.reshape(-1, 9).t().to(x.dtype, memory_format=torch.contiguous_format)
+        of_places = of_places.reshape(-1, channels_in)  # (9 C', C)
+        pixels = x.flatten(2).permute(2, 0, 1).reshape(-1, channels_in)  # (4 B, C)
+        products = (pixels @ of_places.t()).view(4, images, 9, -1)
+        sums = [sum(products[pixel, :, place] for pixel, place in meeting) for meeting in _MEETINGS]
+        ctx.save_for_backward(pixels, of_places)
+        ctx.weight_type = weight.dtype
+        return torch.stack(cast("list[Tensor]", sums), dim=-1).view(images, -1, 2, 2)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the gradients of x and of the weights, given that (B, C', 2, 2) of the convolution."""
+        pixels, of_places = ctx.saved_tensors
+        images, channels_in = len(pixels) // 4, pixels.shape[1]
+        of_each = gradients[0].flatten(2).permute(2, 0, 1)  # (4, B, C')
+        of_products = of_each.new_zeros((4, images, 9, of_each.shape[-1]))
+        for out, meeting in enumerate(_MEETINGS):
+            for pixel, place in meeting:
+                of_products[pixel, :, place] = of_each[out]
+        of_products = of_products.view(len(pixels), -1)
+        of_x = (of_products @ of_places).view(4, images, channels_in).permute(1, 2, 0)
+        of_weight = (of_products.t() @ pixels).view(9, -1).t().to(ctx.weight_type)
+        return of_x.reshape(images, channels_in, 2, 2), of_weight.reshape(-1, channels_in, 3, 3)
+
+
+_PIXELS = [(0, 0), (0, 1), (1, 0), (1, 1)]
+# of each pixel that comes out, which pixels it is made from, and through which of the nine places
+_MEETINGS = [[(k, 3 * (i - a + 1) + j - b + 1) for k, (i, j) in enumerate(_PIXELS)] for a, b in _PIXELS]
 
 
 def load_pretrained(resnet: nn.Module, pretrained: str | Path) -> None:

@@ -103,8 +103,8 @@ class _SecondStage(nn.Module):
         x = functional.relu(functional.linear(embeddings, of_embedding, self.entry.bias)[:, None] + of_rotations)
         hidden = functional.relu(self.hidden(x))
         with torch.autocast(x.device.type, enabled=False):  # bfloat16 would round a logit of 20 by 0.06
-            logits: Tensor = self.logit(hidden.to(self.logit.weight.dtype))
-        return logits.squeeze(-1)
+            weight = self.logit.weight[0]  # times a vector: the gradient of a layer of one value is slow on a CPU
+            return hidden.to(weight.dtype) @ weight + self.logit.bias
 
 
 def positional_encoding(values: Tensor, frequencies: int) -> Tensor:
