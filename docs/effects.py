@@ -1,8 +1,9 @@
 """Measures what each key of a classifier's recipe does alone: .venv/bin/python docs/effects.py [--set data/tetX].
 
-Each is the same short training with one thing changed. Of each, docs/results/effects.json keeps the F-measure on
-validation images, after the last epoch, and the speed; the table of docs/training.md is written from that file.
-Re-running the command resumes it.
+Each is the same short training with one thing changed. Of each, docs/results/effects.json keeps its recipe, the
+F-measure on validation images after the last epoch, with the shift that is fitted on them and without, and the speed;
+the table of docs/training.md is written from that file. Re-running the command resumes it, and trains nothing that the
+file has of the same recipe.
 """
 
 import argparse
@@ -34,8 +35,9 @@ BASE: Mapping[str, Any] = {
     "learning_rates": [1e-3],
     "milestones": [],
     "input_size": 32,
-    "precision": "float32",
+    "precision": "auto",
     "validation_images": 1000,
+    "fitted_shift": True,
 }
 EFFECTS: Mapping[str, Mapping[str, Any]] = {
     "base": {},
@@ -46,10 +48,8 @@ EFFECTS: Mapping[str, Mapping[str, Any]] = {
     "rolls": {"rolls": True},
     "members": {"members": 8},
     "near": {"near_negatives": 128},
-    "rejected": {"hard_negatives": 32},
-    "rejected-weighted": {"hard_negatives": 32, "hard_weight": 1.0},
-    "shift": {"fitted_shift": True},
-    "64-pixels": {"input_size": 64},
+    "rejected": {"hard_negatives": 32, "hard_weight": 1.0},
+    "float32": {"precision": "float32"},
     "all": {
         "bias_from_negatives": True,
         "warm_up": 0.25,
@@ -58,8 +58,8 @@ EFFECTS: Mapping[str, Mapping[str, Any]] = {
         "rolls": True,
         "members": 8,
         "near_negatives": 128,
-        "fitted_shift": True,
     },
+    "64-pixels": {"input_size": 64},
 }
 SEEDS: Mapping[str, tuple[int, ...]] = {"base": (0, 1, 2)}  # of others: 0
 
@@ -69,12 +69,14 @@ class Measured:
     """What came of a training.
 
     Attributes:
-        f_measure: at 0.8, the mean of the validation images, after the last epoch.
+        f_measure: at 0.8, the mean of the validation images, after the last epoch, with the fitted shift.
+        unfitted_f_measure: without it.
         images_per_second: of the last epoch.
         processor_minutes: of all epochs.
     """
 
     f_measure: float
+    unfitted_f_measure: float
     images_per_second: float
     processor_minutes: float
 
@@ -89,7 +91,8 @@ def main() -> None:
     try:
         for name in options.only or EFFECTS:
             for seed in SEEDS.get(name, (0,)):
-                keep(name, seed, measured(name, seed, options.set, options.folder))
+                if not is_known(name, seed):
+                    keep(name, seed, measured(name, seed, options.set, options.folder))
                 write_table()
     except SymsolError as error:
         sys.exit(f"Error: {error}")
@@ -121,8 +124,8 @@ def measured(name: str, seed: int, folder_of_set: Path, folder: Path, keys: Mapp
         raise WeightsError(f"{run}: is of another recipe than {recipe}; move it away to train anew")
     last = record.rows[-1]
     minutes = sum(row["processor_seconds"] for row in record.rows) / 60
-    f_measure = record.calibration.get("f_measure", last["f_measure"])
-    return Measured(round(f_measure, 4), round(last["images_per_second"], 1), round(minutes, 2))
+    fitted, unfitted = record.calibration["f_measure"], last["f_measure"]
+    return Measured(round(fitted, 4), round(unfitted, 4), round(last["images_per_second"], 1), round(minutes, 2))
 
 
 def is_finished(weights: Path) -> bool:
@@ -130,24 +133,40 @@ def is_finished(weights: Path) -> bool:
     return weights.is_file() and read_record(weights).is_finished
 
 
-def keep(name: str, seed: int, found: Measured) -> None:
-    """Put what came of a training into the file of results, beside what was before."""
-    known = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
-    known.setdefault(name, {})[str(seed)] = asdict(found)
+def known_results() -> dict[str, Any]:
+    """Return what the file of results has: by name, the recipe and what came of each seed."""
+    found: dict[str, Any] = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
+    return found
+
+
+def is_known(name: str, seed: int) -> bool:
+    """Tell whether the file of results has a training of this recipe and seed."""
+    of_name = known_results().get(name, {})
+    return of_name.get("recipe") == recipe_text(name) and str(seed) in of_name["seeds"]
+
+
+def keep(name: str, seed: int, found: Measured, keys: Mapping[str, Any] = BASE) -> None:
+    """Put what came of a training into the file of results, beside what was before of the same recipe."""
+    known, recipe = known_results(), recipe_text(name, keys)
+    if known.get(name, {}).get("recipe") != recipe:
+        known[name] = {"recipe": recipe, "seeds": {}}
+    known[name]["seeds"][str(seed)] = asdict(found)
     ordered = {one: known[one] for one in EFFECTS if one in known}
     write_atomically(RESULTS, (json.dumps(ordered, indent=1) + "\n").encode())
 
 
 def table() -> str:
     """Return the table of the results as Markdown."""
-    known = json.loads(RESULTS.read_text())
-    lines = ["| changed | F-measure at 0.8 | images per second |", "|---|---|---|"]
-    for name, of_seeds in known.items():
+    lines = ["| changed | F-measure at 0.8 | without the fitted shift | images per second |", "|---|---|---|---|"]
+    for name, known in known_results().items():
         changes = ", ".join(f"`{key} = {json.dumps(value)}`" for key, value in EFFECTS[name].items()) or "nothing"
-        figures = [Measured(**one) for one in of_seeds.values()]
-        shares = ", ".join(f"{one.f_measure:.3f}" for one in figures)
+        figures = [Measured(**one) for one in known["seeds"].values()]
+        fitted, unfitted = (
+            ", ".join(f"{share:.3f}" for share in shares)
+            for shares in zip(*((one.f_measure, one.unfitted_f_measure) for one in figures), strict=True)
+        )
         speeds = sorted(one.images_per_second for one in figures)
-        lines.append(f"| {changes} | {shares} | {speeds[len(speeds) // 2]:.0f} |")
+        lines.append(f"| {changes} | {fitted} | {unfitted} | {speeds[len(speeds) // 2]:.0f} |")
     return "\n".join(lines) + "\n"
 
 

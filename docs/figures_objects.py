@@ -1,6 +1,7 @@
 """Draws the pictures of docs/objects.md, of the objects that ship with parts: .venv/bin/python docs/figures_objects.py.
 
-Each shows four images of a test split of seed 0, at 224 pixels, with their segmentations and their symmetry sets.
+Each shows four images of a test split of seed 0, at 224 pixels, with their segmentations and their symmetry sets; of
+sphereX, a second shows the volume of the image that hides all on the map of directions.
 """
 
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 from symsol_annot.annotation.annotator import Annotator
 from symsol_annot.objects.spec import load_object
 from symsol_annot.plotting.contact_sheet import contact_sheet
+from symsol_annot.plotting.rotations import plot_sets
 from symsol_annot.rendering.camera import Camera
 from symsol_annot.rendering.render_process import RenderProcess
 from symsol_annot.rendering.settings import RenderSettings
@@ -45,6 +47,8 @@ def draw(name, path):
         annotator = Annotator.for_object(spec, camera, settings, renderer)
         samples = [sample_of(annotator, label_rotation(0, name, "test", index), index) for index in IMAGES[name]]
     contact_sheet(samples, path, columns=2, parts=parts)
+    if samples[-1].symmetry_set.volume is not None:
+        plot_sets(samples[-1:], path.with_name(f"volume-{name}.png"), "mollweide")
 
 
 def sample_of(annotator, R_gt, index):

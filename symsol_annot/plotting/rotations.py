@@ -9,6 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from symsol_annot.annotation.symmetry_set import SymmetrySet
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.errors import RotationError
 from symsol_annot.plotting.canvas import (
     PREDICTED,
@@ -33,6 +34,7 @@ _PLACES = {
     "mollweide": "place: where an axis of the model points, the camera in the middle; colour: the tilt about it",
 }
 _DOTS_OF_VOLUME = 1500  # that show a volume
+_BANDS, _TILTS = 60, 48  # of latitude, on the map; tilts per direction that are asked about
 _MANY = 60  # members from which on they are drawn small
 _OKLAB_TO_LMS = np.array(
     [[1, 0.3963377774, 0.2158037573], [1, -0.1055613458, -0.0638541728], [1, -0.0894841775, -1.2914855480]]
@@ -68,7 +70,7 @@ def plot_sets(
         MissingExtraError: matplotlib is not installed.
     """
     width = _PICTURE_INCHES[kind]
-    draw, projection = (draw_mollweide, "mollweide") if kind == "mollweide" else (draw_pi_ball, "3d")
+    projection = "mollweide" if kind == "mollweide" else "3d"
     figure = new_figure(figsize=(2.0 + width, 2.2 * len(samples) + 0.9), layout="constrained")
     grid = figure.add_gridspec(len(samples), 2, width_ratios=(2.0, width))
     for row, sample in enumerate(samples):
@@ -78,11 +80,18 @@ def plot_sets(
         image.set_title(f"image {sample.index}", fontsize=8, pad=2)
         axes = figure.add_subplot(grid[row, 1], projection=projection)
         found = None if predicted is None else predicted[row]
-        draw(axes, shown_of(sample.symmetry_set), sample.rotation, found)
+        of_image = sample.symmetry_set
+        if kind == "mollweide":
+            draw_mollweide(axes, of_image.members, sample.rotation, found, of_image.volume)
+        else:
+            draw_pi_ball(axes, shown_of(of_image), sample.rotation, found)
         count = "" if found is None else f", {len(found)} predicted"
         axes.set_title(f"{size_text(sample.symmetry_set)}{count}", fontsize=8, pad=4)
     marks = marks_of_sets(kind, predicted=predicted is not None)
-    legend_below(figure, marks, columns=3, title=_PLACES[kind])
+    place = _PLACES[kind]
+    if kind == "mollweide" and any(sample.symmetry_set.volume is not None for sample in samples):
+        place += "\ngrey: the share of the tilts there that the volume of a set has, white none, dark all"
+    legend_below(figure, marks, columns=3, title=place)
     if title:
         figure.suptitle(label_text(title), fontsize=9)
     write_figure(figure, path)
@@ -142,7 +151,11 @@ def draw_pi_ball(
 
 
 def draw_mollweide(
-    axes: Any, rotations: Rotations, R_gt: Rotations | None = None, predicted: Rotations | None = None
+    axes: Any,
+    rotations: Rotations,
+    R_gt: Rotations | None = None,
+    predicted: Rotations | None = None,
+    volume: Volume | None = None,
 ) -> None:
     """Draw rotations on the sphere of directions, with the tilt as colour (Murphy et al., Implicit-PDF).
 
@@ -154,7 +167,10 @@ def draw_mollweide(
         rotations: (k, 3, 3), as dots.
         R_gt: (3, 3) one rotation to point out, by a ring, or None.
         predicted: (m, 3, 3), as crosses, or None.
+        volume: is shown as a density: how dark a direction is tells the share of its tilts that are inside.
     """
+    if volume is not None:
+        _shade(axes, volume)
 
     def scatter(R: Rotations, **marks: Any) -> None:
         longitude, latitude, tilt = directions_and_tilts(R)
@@ -192,6 +208,28 @@ def directions_and_tilts(R_m2c: Rotations) -> tuple[Angles, Angles, Angles]:
     longitude = np.arctan2(R[..., 1, 0], R[..., 0, 0])
     latitude = np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
     return longitude, latitude, np.arctan2(R[..., 2, 1], R[..., 2, 2])
+
+
+def rotations_at(longitude: Angles, latitude: Angles, tilt: Angles) -> Rotations:
+    """Return the rotations (..., 3, 3) whose `directions_and_tilts` are such, in rad, (...) each."""
+    longitude, latitude, tilt = np.broadcast_arrays(longitude, latitude, tilt)
+    turned = Rotation.from_euler("ZYX", np.stack([longitude, -latitude, tilt], -1).reshape(-1, 3)).as_matrix()
+    R: Rotations = _MAP_FROM_CAMERA.T @ turned.reshape(*longitude.shape, 3, 3) @ _SHOWN_FROM_MODEL.T
+    return R
+
+
+def shares_of_tilts(volume: Volume, longitude: Angles, latitude: Angles) -> Angles:
+    """Return how large a share of the tilts about each direction (...), in rad, is inside a volume, from 0 to 1."""
+    tilts = (np.arange(_TILTS) + 0.5) * (2.0 * np.pi / _TILTS)
+    R = rotations_at(longitude[..., None], latitude[..., None], tilts)
+    return volume.contains(R.reshape(-1, 3, 3)).reshape(R.shape[:-2]).mean(-1)
+
+
+def _shade(axes: Any, volume: Volume) -> None:
+    edges_lon, edges_lat = np.linspace(-np.pi, np.pi, 2 * _BANDS + 1), np.linspace(-np.pi / 2, np.pi / 2, _BANDS + 1)
+    middles = ((edges[:-1] + edges[1:]) / 2.0 for edges in (edges_lon, edges_lat))
+    shares = shares_of_tilts(volume, *np.meshgrid(*middles))
+    axes.pcolormesh(edges_lon, edges_lat, shares, cmap="Greys", vmin=0.0, vmax=1.3, rasterized=True, zorder=1)
 
 
 def tilt_colours(tilt_rad: Angles) -> npt.NDArray[np.float64]:

@@ -36,27 +36,38 @@ def test_a_recipe_differs_from_the_base_in_what_it_says(name):
 
 
 def test_a_training_is_done_once_and_its_figures_are_those_of_its_record(images, tmp_path):
-    found = effects.measured("shift", 0, images, tmp_path, QUICK)
-    file = tmp_path / "runs" / "shift-0" / "weights.safetensors"
+    found = effects.measured("bias", 0, images, tmp_path, QUICK)
+    file = tmp_path / "runs" / "bias-0" / "weights.safetensors"
     before = file.stat().st_mtime_ns
-    assert effects.measured("shift", 0, images, tmp_path, QUICK) == found
+    assert effects.measured("bias", 0, images, tmp_path, QUICK) == found
     assert file.stat().st_mtime_ns == before
     record = effects.read_record(file)
     assert found.f_measure == round(record.calibration["f_measure"], 4)
+    assert found.unfitted_f_measure == round(record.rows[-1]["f_measure"], 4)
     assert found.images_per_second > 0.0
     with pytest.raises(WeightsError, match="is of another recipe"):
-        effects.measured("shift", 0, images, tmp_path, {**QUICK, "negatives": 64})
+        effects.measured("bias", 0, images, tmp_path, {**QUICK, "negatives": 64})
 
 
 def test_the_table_has_each_training_with_its_seeds_in_the_order_of_the_list(kept):
-    effects.keep("bias", 0, effects.Measured(0.5, 100.0, 1.0))
+    effects.keep("bias", 0, effects.Measured(0.5, 0.25, 100.0, 1.0))
     for seed in (0, 1, 2):
-        effects.keep("base", seed, effects.Measured(0.1 + seed / 10, 90.0 + seed, 1.0))
+        effects.keep("base", seed, effects.Measured(0.1 + seed / 10, 0.0, 90.0 + seed, 1.0))
     effects.write_table()
     assert list(json.loads((kept / "effects.json").read_text())) == ["base", "bias"]
     lines = (kept / "page.md").read_text().splitlines()
     assert lines[0] == "before"
     assert lines[-1] == "after"
-    assert "| nothing | 0.100, 0.200, 0.300 | 91 |" in lines
-    assert "| `bias_from_negatives = true` | 0.500 | 100 |" in lines
+    assert "| nothing | 0.100, 0.200, 0.300 | 0.000, 0.000, 0.000 | 91 |" in lines
+    assert "| `bias_from_negatives = true` | 0.500 | 0.250 | 100 |" in lines
     assert "old" not in lines
+
+
+def test_what_the_file_has_of_another_recipe_is_not_known_and_goes(kept):
+    effects.keep("bias", 0, effects.Measured(0.5, 0.25, 100.0, 1.0))
+    assert effects.is_known("bias", 0)
+    assert not effects.is_known("bias", 1)
+    assert not effects.is_known("base", 0)
+    effects.keep("bias", 1, effects.Measured(0.6, 0.25, 100.0, 1.0), QUICK)
+    assert not effects.is_known("bias", 1)
+    assert list(json.loads((kept / "effects.json").read_text())["bias"]["seeds"]) == ["1"]

@@ -1,7 +1,10 @@
 """Sets of rotations in the ball and on the map: each mark is where a formula by hand puts it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from balls import capped_set
 from click.testing import CliRunner
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -10,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from symsol_annot_cli.plot import plot
 
 from symsol_annot import load
+from symsol_annot.annotation.volume import Volume
 from symsol_annot.bench.predictions.writing.submission import write_classifier, write_hypotheses
 from symsol_annot.errors import RotationError
 from symsol_annot.plotting.rotations import (
@@ -17,6 +21,8 @@ from symsol_annot.plotting.rotations import (
     draw_mollweide,
     draw_pi_ball,
     plot_sets,
+    rotations_at,
+    shares_of_tilts,
     tilt_colours,
 )
 from symsol_annot.rotations.so3 import uniform_rotations
@@ -193,3 +199,35 @@ def test_a_picture_has_a_row_an_image(tetX_set, tmp_path):
         plot_sets(samples[:count], tmp_path / f"{count}.svg", "mollweide", title="a title")
     words = [(tmp_path / f"{count}.svg").read_text() for count in (1, 3)]
     assert [text.count("<image") for text in words] == [1, 3]
+
+
+def test_rotations_at_directions_and_tilts_are_the_ones_that_have_them():
+    R = uniform_rotations(50, np.random.default_rng(1))
+    assert np.allclose(rotations_at(*directions_and_tilts(R)), R, atol=1e-12)
+
+
+def test_a_volume_darkens_the_map_by_its_share_of_the_tilts():
+    volume = Volume.of_cells(np.arange(0, 2359296, 3))  # a third, not the same along any ring
+    rng = np.random.default_rng(2)
+    latitude, longitude = np.arcsin(rng.uniform(-1, 1, 4000)), rng.uniform(-np.pi, np.pi, 4000)  # evenly
+    shares = shares_of_tilts(volume, longitude, latitude)
+    assert shares.mean() == pytest.approx(volume.measure, abs=0.01)
+    tilts = rng.uniform(-np.pi, np.pi, 2000)
+    by_drawing = [volume.contains(rotations_at(longitude[k], latitude[k], tilts)).mean() for k in range(20)]
+    assert shares[:20] == pytest.approx(np.array(by_drawing), abs=0.25)
+    assert shares.min() < shares.max()
+
+
+@pytest.fixture(scope="module")
+def ball_sample(tmp_path_factory):
+    """An image of a ball whose only part is out of sight."""
+    images = load(capped_set(tmp_path_factory.mktemp("balls")))
+    return next(sample for sample in images if sample.symmetry_set.volume is not None)
+
+
+def test_the_map_of_a_set_with_a_volume_says_what_its_grey_is(ball_sample, tmp_path):
+    plot_sets([ball_sample], tmp_path / "with.svg", "mollweide")
+    plot_sets([replace(ball_sample, volume=None)], tmp_path / "without.svg", "mollweide")
+    with_volume, without = ((tmp_path / f"{name}.svg").read_text() for name in ("with", "without"))
+    assert "grey: the share of the tilts" in with_volume
+    assert "grey" not in without
