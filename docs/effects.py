@@ -1,9 +1,10 @@
-"""Measures what each key of a classifier's recipe does alone: .venv/bin/python docs/effects.py [--set data/tetX].
+"""Measures what keys of recipes do, each alone: .venv/bin/python docs/effects.py [--set data/tetX].
 
-Each is the same short training with one thing changed. Of each, docs/results/effects.json keeps its recipe, the
-F-measure on validation images after the last epoch, with the shift that is fitted on them and without, and the speed;
-the table of docs/training.md is written from that file. Re-running the command resumes it, and trains nothing that the
-file has of the same recipe.
+Two short trainings, of a mixture and of a classifier, have all of a recipe's means; of each further one, one thing is
+changed. Of each, docs/results/effects.json keeps its recipe, the F-measure on validation images after the last epoch
+with what is fitted on them, a classifier's without that, a mixture's log-likelihood, and the speed; the table of
+docs/training.md is written from that file. Re-running the command resumes it, and trains nothing that the file has of
+the same recipe.
 """
 
 import argparse
@@ -24,44 +25,50 @@ PROJECT = Path(__file__).resolve().parents[1]
 RESULTS = PROJECT / "docs" / "results" / "effects.json"
 PAGE = PROJECT / "docs" / "training.md"
 BEGIN, END = "<!-- written by docs/effects.py -->", "<!-- to here -->"
-BASE: Mapping[str, Any] = {
-    "model": "classifier",
+MEANS: Mapping[str, Any] = {
     "start": "random",
-    "frequencies": 3,
-    "negatives": 256,
-    "frozen_epochs": 0,
     "batch_size": 64,
     "epochs": 2,
-    "learning_rates": [1e-3],
     "milestones": [],
+    "schedule": "cosine",
+    "warm_up": 0.25,
+    "clip_norm": 10.0,
+    "rolls": True,
     "input_size": 32,
     "precision": "auto",
     "validation_images": 1000,
-    "fitted_shift": True,
 }
-EFFECTS: Mapping[str, Mapping[str, Any]] = {
-    "base": {},
-    "bias": {"bias_from_negatives": True},
-    "warm-up": {"warm_up": 0.25},
-    "cosine": {"schedule": "cosine"},
-    "clipping": {"clip_norm": 10.0},
-    "rolls": {"rolls": True},
-    "members": {"members": 8},
-    "near": {"near_negatives": 128},
-    "rejected": {"hard_negatives": 32, "hard_weight": 1.0},
-    "float32": {"precision": "float32"},
-    "all": {
+BASES: Mapping[str, Mapping[str, Any]] = {
+    "mixture": {"model": "mixture", **MEANS, "learning_rates": [1.5e-3], "structure": "free", "components": 32},
+    "classifier": {
+        "model": "classifier",
+        **MEANS,
+        "learning_rates": [1e-3],
+        "frequencies": 3,
+        "negatives": 256,
+        "frozen_epochs": 0,
         "bias_from_negatives": True,
-        "warm_up": 0.25,
-        "schedule": "cosine",
-        "clip_norm": 10.0,
-        "rolls": True,
         "members": 8,
         "near_negatives": 128,
+        "fitted_shift": True,
     },
-    "64-pixels": {"input_size": 64},
 }
-SEEDS: Mapping[str, tuple[int, ...]] = {"base": (0, 1, 2)}  # of others: 0
+EFFECTS: Mapping[str, Mapping[str, Any]] = {  # a base's name, and what is changed
+    "mixture": {},
+    "mixture, constant rate": {"schedule": "steps"},
+    "mixture, no warm-up": {"warm_up": 0.0},
+    "mixture, not clipped": {"clip_norm": 0.0},
+    "mixture, not rolled": {"rolls": False},
+    "mixture, one member": {"members": 1},
+    "mixture, float32": {"precision": "float32"},
+    "classifier": {},
+    "classifier, logit from 0": {"bias_from_negatives": False},
+    "classifier, one member": {"members": 1},
+    "classifier, uniform negatives": {"near_negatives": 0},
+    "classifier, rejected candidates": {"hard_negatives": 32, "hard_weight": 1.0},
+    "mixture, 64 pixels": {"input_size": 64},
+}
+SEEDS: Mapping[str, tuple[int, ...]] = dict.fromkeys(BASES, (0, 1))  # of others: 0
 
 
 @dataclass(frozen=True)
@@ -69,14 +76,16 @@ class Measured:
     """What came of a training.
 
     Attributes:
-        f_measure: at 0.8, the mean of the validation images, after the last epoch, with the fitted shift.
-        unfitted_f_measure: without it.
+        f_measure: the mean of the validation images after the last epoch, with what was fitted on them.
+        unfitted_f_measure: a classifier's at 0.8, without the fitted shift; None of a mixture.
+        log_likelihood: a mixture's at R_gt; None of a classifier.
         images_per_second: of the last epoch.
         processor_minutes: of all epochs.
     """
 
     f_measure: float
-    unfitted_f_measure: float
+    unfitted_f_measure: float | None
+    log_likelihood: float | None
     images_per_second: float
     processor_minutes: float
 
@@ -100,22 +109,25 @@ def main() -> None:
         sys.exit(error.returncode)
 
 
-def recipe_text(name: str, keys: Mapping[str, Any] = BASE) -> str:
-    """Return a training's recipe as TOML."""
-    chosen = {"title": f"Single effects: {name}", **keys, **EFFECTS[name]}
+def recipe_text(name: str, instead: Mapping[str, Any] | None = None) -> str:
+    """Return a training's recipe as TOML, with some keys instead of the base's."""
+    chosen = {"title": f"Single effects: {name}", **BASES[name.partition(",")[0]], **(instead or {}), **EFFECTS[name]}
     return "".join(f"{key} = {json.dumps(value)}\n" for key, value in chosen.items())
 
 
-def measured(name: str, seed: int, folder_of_set: Path, folder: Path, keys: Mapping[str, Any] = BASE) -> Measured:
+def measured(
+    name: str, seed: int, folder_of_set: Path, folder: Path, instead: Mapping[str, Any] | None = None
+) -> Measured:
     """Train, or go on, or take what is finished, and return what came of it.
 
     Raises:
         WeightsError: the folder has a training of something else.
     """
     (folder / "recipes").mkdir(parents=True, exist_ok=True)
-    recipe = folder / "recipes" / f"{name}.toml"
-    recipe.write_text(recipe_text(name, keys))
-    run = folder / "runs" / f"{name}-{seed}"
+    file_name = name.replace(",", "").replace(" ", "-")
+    recipe = folder / "recipes" / f"{file_name}.toml"
+    recipe.write_text(recipe_text(name, instead))
+    run = folder / "runs" / f"{file_name}-{seed}"
     if not is_finished(run / WEIGHTS_FILE):
         words = ["train", recipe, "--data", folder_of_set, "--seed", seed, "--out", run, "--device", "cpu"]
         subprocess.run([Path(sys.executable).with_name("symsol-annot"), *map(str, words)], check=True)
@@ -124,8 +136,13 @@ def measured(name: str, seed: int, folder_of_set: Path, folder: Path, keys: Mapp
         raise WeightsError(f"{run}: is of another recipe than {recipe}; move it away to train anew")
     last = record.rows[-1]
     minutes = sum(row["processor_seconds"] for row in record.rows) / 60
-    fitted, unfitted = record.calibration["f_measure"], last["f_measure"]
-    return Measured(round(fitted, 4), round(unfitted, 4), round(last["images_per_second"], 1), round(minutes, 2))
+    return Measured(
+        round(record.calibration["f_measure"], 4),
+        round(last["f_measure"], 4) if "f_measure" in last else None,
+        round(last["log_likelihood_at_gt"], 3) if "log_likelihood_at_gt" in last else None,
+        round(last["images_per_second"], 1),
+        round(minutes, 2),
+    )
 
 
 def is_finished(weights: Path) -> bool:
@@ -145,9 +162,9 @@ def is_known(name: str, seed: int) -> bool:
     return of_name.get("recipe") == recipe_text(name) and str(seed) in of_name["seeds"]
 
 
-def keep(name: str, seed: int, found: Measured, keys: Mapping[str, Any] = BASE) -> None:
+def keep(name: str, seed: int, found: Measured, instead: Mapping[str, Any] | None = None) -> None:
     """Put what came of a training into the file of results, beside what was before of the same recipe."""
-    known, recipe = known_results(), recipe_text(name, keys)
+    known, recipe = known_results(), recipe_text(name, instead)
     if known.get(name, {}).get("recipe") != recipe:
         known[name] = {"recipe": recipe, "seeds": {}}
     known[name]["seeds"][str(seed)] = asdict(found)
@@ -157,16 +174,19 @@ def keep(name: str, seed: int, found: Measured, keys: Mapping[str, Any] = BASE) 
 
 def table() -> str:
     """Return the table of the results as Markdown."""
-    lines = ["| changed | F-measure at 0.8 | without the fitted shift | images per second |", "|---|---|---|---|"]
+    lines = ["| changed | F-measure | without the fit | log-likelihood | images per second |", "|---|---|---|---|---|"]
     for name, known in known_results().items():
         changes = ", ".join(f"`{key} = {json.dumps(value)}`" for key, value in EFFECTS[name].items()) or "nothing"
         figures = [Measured(**one) for one in known["seeds"].values()]
-        fitted, unfitted = (
-            ", ".join(f"{share:.3f}" for share in shares)
-            for shares in zip(*((one.f_measure, one.unfitted_f_measure) for one in figures), strict=True)
-        )
+        told = [
+            ", ".join(f"{value:.3f}" for value in values if value is not None)
+            for values in zip(
+                *((one.f_measure, one.unfitted_f_measure, one.log_likelihood) for one in figures), strict=True
+            )
+        ]
         speeds = sorted(one.images_per_second for one in figures)
-        lines.append(f"| {changes} | {fitted} | {unfitted} | {speeds[len(speeds) // 2]:.0f} |")
+        method = name.partition(",")[0]
+        lines.append(f"| {method}: {changes} | {' | '.join(told)} | {speeds[len(speeds) // 2]:.0f} |")
     return "\n".join(lines) + "\n"
 
 
