@@ -58,6 +58,14 @@ def test_sets_are_those_of_all_candidates_drawn_whole(spec_of, name):
     assert len(sizes) > 1 or name != "mug"
 
 
+@pytest.mark.parametrize("R_gt", uniform_rotations(3, np.random.default_rng(3)), ids=range(3))
+def test_the_exhaustive_rule_draws_every_candidate(spec_of, R_gt):
+    spec = spec_of(*OBJECTS["two dots opposite"])
+    renderer = MeshRenderer(spec, CAMERA)
+    Annotator.for_object(spec, CAMERA, SETTINGS, renderer, exhaustive=True).annotate(R_gt, 0.0)
+    assert renderer.drawn == 1 + len(spec.symmetry_group) - len(spec.stabiliser)  # which all draw R_gt's image
+
+
 def test_a_handle_that_hides_leaves_all_candidates_that_hide_it(spec_of):
     spec = spec_of(TOML, mug())
     renderer = MeshRenderer(spec, CAMERA)
