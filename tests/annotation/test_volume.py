@@ -198,3 +198,24 @@ def test_no_rotation_of_a_cell_is_farther_from_the_centres_of_its_eighths_than_i
         drawn = union.sample(2000, rng)
         farthest = Cells(union.mask, 5).distance(drawn).max()
         assert 0.6 * CELLS_ERROR_RAD < farthest < CELLS_ERROR_RAD
+
+
+@pytest.mark.parametrize("volume", [CAP, SMALL, TWO], ids=["cap", "small", "two"])
+def test_within_is_exact_where_the_distance_is_nearly_the_angle(volume):
+    R = DRAWN[:400]
+    distances = volume.distance(R)
+    for k in np.flatnonzero(distances > 0.0)[:40]:
+        found = [volume.within(R[k : k + 1], distances[k] + more)[0] for more in (-1e-6, 1e-6)]
+        assert found == [False, True], k
+
+
+@pytest.mark.parametrize("pole", [1.0, -1.0])
+def test_a_wedge_that_ends_in_a_pole_is_as_near_as_the_pole_from_its_other_side(pole):
+    wedge = Volume.of_directions(lambda v: (v[..., 2] * pole > 0.7) & (v[..., 0] > 2.0 * np.abs(v[..., 1])))
+    R = uniform_rotations(4000, np.random.default_rng(1))
+    v = to_camera(R)
+    beyond = (v[:, 2] * pole > 0.8) & (-v[:, 0] > np.abs(v[:, 1]))
+    assert np.count_nonzero(beyond) > 50
+    np.testing.assert_allclose(
+        wedge.distance(R[beyond]), np.arccos(v[beyond, 2] * pole), atol=BANDS_ERROR_RAD + HALF_STEP_RAD
+    )
