@@ -50,7 +50,7 @@ class Cells:
     def _carried(self, R: Rotations) -> Angles:
         """Return the turns (n,) in rad about z by which the frame that is carried from a pixel's centre differs."""
         pixel = healpix.vec2pix(self._n_side, *np.moveaxis(R[..., 2], -1, 0))
-        azimuth = np.arctan2(R[..., 1, 2], R[..., 0, 2])
+        azimuth = np.arctan2(*(np.ascontiguousarray(R[..., row, 2]) for row in (1, 0)))  # as in volume._polar_and_tilt
         return _wrapped(azimuth - healpix.pix2ang(self._n_side, pixel)[1]) * R[..., 2, 2]
 
     @cached_property

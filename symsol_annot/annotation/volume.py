@@ -229,8 +229,12 @@ def _ring_sizes() -> npt.NDArray[np.int64]:
 
 
 def _polar_and_tilt(R_m2c: Rotations) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the polar angle (n,) and the tilt (n,) in rad of rotations (n, 3, 3): the coordinates of -v."""
-    x, y, z = -R_m2c[..., 2, 0], R_m2c[..., 2, 1], R_m2c[..., 2, 2]
+    """Return the polar angle (n,) and the tilt (n,) in rad of rotations (n, 3, 3): the coordinates of -v.
+
+    The columns are copied: of strided ones, numpy takes another arctan2, which differs in the last bit, where its
+    output happens to lie right behind them in memory (with AVX-512).
+    """
+    x, y, z = (np.ascontiguousarray(column) for column in (-R_m2c[..., 2, 0], R_m2c[..., 2, 1], R_m2c[..., 2, 2]))
     return np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
 
 
