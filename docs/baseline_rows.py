@@ -19,7 +19,10 @@ from symsol_annot.system.reading import file_sha256
 BOARD = Path(__file__).resolve().parent / "results" / "leaderboard"
 TIERS = {"small": "small", "published": "data"}  # to the folders of their sets, as the commands of its set.toml have it
 MARKED = ("tetX", "cylO")
-ONE_OBJECT = ("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer")  # rows of tetX alone
+ONE_OBJECT = {  # rows of one object alone
+    **dict.fromkeys(("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer"), "tetX"),
+    **dict.fromkeys(("volume-classifier", "volume-classifier-outside", "volume-classifier-unweighted"), "sphereX"),
+}
 
 
 class BaselineError(SymsolError):
@@ -88,7 +91,7 @@ class Row:
         is_thesiss = self.recipe in of_thesis or self.recipe.startswith("reduced-")
         if self.tier == "published" and is_thesiss:
             there = list(MARKED)
-        return [name for name in there if name == "tetX" or self.recipe not in ONE_OBJECT]
+        return [name for name in there if name == ONE_OBJECT.get(self.recipe, name)]
 
     def predicted(self) -> list[str]:
         """Return the objects that have predictions."""

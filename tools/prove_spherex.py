@@ -63,7 +63,7 @@ def main():
             with arguments.rows.open("a") as file:
                 file.write(json.dumps(row) + "\n")
             print(row, flush=True)
-    found = summary([done[index] for _, index in chosen if index in done], arguments.leaf)
+    found = summary([{**done[index], "kind": kind} for kind, index in chosen if index in done], arguments.leaf)
     print(json.dumps(found, indent=1))
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1) + "\n")

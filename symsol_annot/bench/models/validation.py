@@ -9,10 +9,14 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.bench.predictions.counted import counted
 from symsol_annot.bench.scoring import metrics
 from symsol_annot.bench.scoring.metric import HIGHER
+from symsol_annot.bench.scoring.scorers.hypotheses import errors_of_image
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
+from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.rotations.so3 import Rotations
+from symsol_annot.sets.shard.labels import Labels
 
 Figures = dict[str, float]
 FIGURES = {  # whether higher is better, in the scorer's order
@@ -21,23 +25,28 @@ FIGURES = {  # whether higher is better, in the scorer's order
 _NEAR_DEG = 5
 
 
-def hypothesis_figures(pairs: Iterable[tuple[Rotations, Rotations]]) -> Figures:
-    """Return recall and precision (section 5.2), pooled over members and over images as `score` does.
+def hypothesis_figures(labels: Labels, hypotheses: Iterable[Rotations]) -> Figures:
+    """Return recall and precision (section 5.2), pooled over sets and over images as `score` does.
 
     Args:
-        pairs: per image the members (k, 3, 3) of its symmetry set and its hypotheses (M, 3, 3), R_m2c.
+        labels: of a split's images.
+        hypotheses: (M, 3, 3) R_m2c of each of them in turn, or of the first.
 
     Returns:
-        Mean errors in rad, and shares within 5 degrees.
+        Mean errors in rad, and shares within 5 degrees. A volume weighs as many members as the grid of level 4 has
+        rotations inside it.
     """
-    both = [metrics.recall_and_precision_errors(members, hypotheses) for members, hypotheses in pairs]
-    recall_errors, precision_errors = (np.concatenate(errors) for errors in zip(*both, strict=True))
+    on_grid = counted(labels, STANDARD_LEVEL)
+    errors = [errors_of_image(labels, on_grid, i, of_image) for i, of_image in enumerate(hypotheses)]
+    of_set, of_hypotheses = (np.concatenate(parts) for parts in zip(*(e[:2] for e in errors), strict=True))
+    measures = [np.ones(len(e.of_set)) if e.measures is None else e.measures for e in errors]
+    weights = np.concatenate(measures) if labels.volumes else None
     near = np.radians([_NEAR_DEG])
     return {
-        "recall_mean_error_rad": metrics.mean_error(recall_errors),
-        "precision_mean_error_rad": metrics.mean_error(precision_errors),
-        f"coverage_at_{_NEAR_DEG}_deg": float(metrics.share_within(recall_errors, near)[0]),
-        f"accuracy_at_{_NEAR_DEG}_deg": float(metrics.share_within(precision_errors, near)[0]),
+        "recall_mean_error_rad": metrics.mean_error(of_set, weights),
+        "precision_mean_error_rad": metrics.mean_error(of_hypotheses),
+        f"coverage_at_{_NEAR_DEG}_deg": float(metrics.share_within(of_set, near, weights)[0]),
+        f"accuracy_at_{_NEAR_DEG}_deg": float(metrics.share_within(of_hypotheses, near)[0]),
     }
 
 

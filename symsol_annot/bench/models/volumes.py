@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -39,6 +40,20 @@ class ImageVolumes:
     def pin_memory(self) -> "ImageVolumes":
         """Return them in memory that a GPU reads by itself."""
         return ImageVolumes(self.index.pin_memory(), self.volumes)
+
+    def measures(self) -> Tensor:
+        """Return the shares of SO(3) that the images' volumes have, (B,) float32, 0 for none."""
+        return self.index.new_tensor([*(v.measure for v in self.volumes), 0.0], dtype=torch.float32)[self.index]
+
+    def draw(self, count: int, rng: torch.Generator) -> Tensor:
+        """Draw rotations (B, count, 3, 3), float32, uniformly from the volumes of images that all have one."""
+        seed = int(torch.randint(2**62, (1,), generator=rng, device=rng.device))
+        numbers, by_numpy = self.index.cpu().numpy(), np.random.default_rng(seed)
+        R = np.empty((len(numbers), count, 3, 3))
+        for number in np.unique(numbers):
+            (rows,) = np.nonzero(numbers == number)
+            R[rows] = self.volumes[number].sample(len(rows) * count, by_numpy).reshape(-1, count, 3, 3)
+        return torch.from_numpy(R).float().to(self.index.device)
 
     def contain(self, R: Tensor) -> Tensor:
         """Tell which rotations (B, K, 3, 3) are inside the volume of their image's set, (B, K) bool.

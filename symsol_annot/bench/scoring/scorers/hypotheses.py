@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from symsol_annot.bench.predictions.counted import Counted
 from symsol_annot.bench.predictions.format import MAX_HYPOTHESES
 from symsol_annot.bench.predictions.structure import shown
 from symsol_annot.bench.predictions.tracks.hypotheses import HYPOTHESES, HypothesesBlock, HypothesesReader
@@ -20,6 +21,7 @@ from symsol_annot.bench.scoring.scorers.around_hypotheses import distances_in_vo
 from symsol_annot.bench.scoring.scorers.scorer import Scorer, TrackScoring
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, uniform_rotations
+from symsol_annot.sets.shard.labels import Labels
 
 Weights: TypeAlias = npt.NDArray[np.float64]
 EachWeights: TypeAlias = Sequence[Weights | None]
@@ -31,6 +33,7 @@ F_UNWEIGHTED = HYPOTHESES.ranked_by_if_there
 # was rounded to float32, or multiplied in it, is off by less than the slack (docs/metrics.md, "Angles").
 SLACK_RAD = 1e-6
 EXACT_RAD = 1e-3  # 0.06 degrees, a fifteenth of the thesis's best; no method reads that from pixels
+THRESHOLDS_RAD = np.radians(ANGLES_DEG) + SLACK_RAD
 _RANKED_RAD = float(np.radians(RANKED_ANGLE_DEG)) + SLACK_RAD
 _CHANCE_IMAGES, _CHANCE_HYPOTHESES = 64, 256  # are drawn at the most, to tell what chance gives
 _PAIRS_AT_ONCE = 2**20
@@ -172,7 +175,6 @@ class HypothesesScorer(Scorer):
     def __init__(self, reader: HypothesesReader, truth: Truth) -> None:
         super().__init__(truth)
         self._counted = truth.counted_on(STANDARD_LEVEL)
-        self._thresholds_rad = np.radians(ANGLES_DEG) + SLACK_RAD
         self.facts = {"M": reader.count}
 
     def _measure(self, block: HypothesesBlock) -> MeasuredHypotheses:
@@ -182,7 +184,8 @@ class HypothesesScorer(Scorer):
         else:
             found = [h[w > 0] for h, w in zip(block.hypotheses, block.weights, strict=True)]
             weights = [w[w > 0] for w in block.weights]
-            errors = [self._of_image(int(i), h) for i, h in zip(block.image_index, found, strict=True)]
+            both = zip(block.image_index, found, strict=True)
+            errors = [errors_of_image(self._truth.labels, self._counted, int(i), h) for i, h in both]
         self._try_conventions(block.image_index, found)
         of_set, of_hypotheses = [e.of_set for e in errors], [e.of_hypotheses for e in errors]
         measures = [e.measures for e in errors]
@@ -218,27 +221,8 @@ class HypothesesScorer(Scorer):
                 both = metrics.recall_and_precision_errors(sets, hypotheses[rows])
                 for row, of_members, of_hypotheses in zip(rows, *both, strict=True):
                     found = Errors(of_members, of_hypotheses)
-                    errors[row] = self._with_volume(int(image_index[row]), hypotheses[row], found)
+                    errors[row] = _with_volume(labels, self._counted, int(image_index[row]), hypotheses[row], found)
         return errors
-
-    def _of_image(self, i: int, hypotheses: Rotations) -> Errors:
-        """Return both kinds of errors of one image, given hypotheses (M, 3, 3)."""
-        both = metrics.recall_and_precision_errors(self._truth.labels.members(i), hypotheses)
-        return self._with_volume(i, hypotheses, Errors(*both))
-
-    def _with_volume(self, i: int, hypotheses: Rotations, to_members: Errors) -> Errors:
-        """Return the errors of an image, given those with its members alone: they stay of a set without volume."""
-        labels = self._truth.labels
-        volume = labels.volume_of(i)
-        if volume is None:
-            return to_members
-        counted = to_members.of_set[self._counted.is_counted[i][labels.symmetry_mask[i]]]
-        of_volume, shares = distances_in_volume(volume, hypotheses, self._thresholds_rad)
-        return Errors(
-            np.concatenate([counted, of_volume]),
-            np.minimum(to_members.of_hypotheses, volume.distance(hypotheses)),
-            np.concatenate([np.ones(len(counted)), self._counted.grid_size * shares]),
-        )
 
     def _arc_errors(
         self,
@@ -255,7 +239,7 @@ class HypothesesScorer(Scorer):
 
     def _shares(self, errors: list[Angles], weights: EachWeights | None = None) -> Values:
         each = [None] * len(errors) if weights is None else weights
-        shares = [metrics.share_within(e, self._thresholds_rad, w) for e, w in zip(errors, each, strict=True)]
+        shares = [metrics.share_within(e, THRESHOLDS_RAD, w) for e, w in zip(errors, each, strict=True)]
         return np.reshape(shares, (len(errors), len(ANGLES_DEG))).astype(np.float64)
 
     def chance_and_best(self, over_all: Mapping[str, Figure]) -> tuple[float, float]:  # noqa: ARG002 - as others need it
@@ -290,6 +274,33 @@ class HypothesesScorer(Scorer):
     def notes(self) -> tuple[str, ...]:
         """Return what its author should know: that another convention fits far better."""
         return self._conventions.notes("write {code} in place of the rotations R")
+
+
+def errors_of_image(labels: Labels, on_grid: Counted, i: int, hypotheses: Rotations) -> Errors:
+    """Return both kinds of errors of one image.
+
+    Args:
+        labels: of the split.
+        on_grid: what its sets consist of on the grid of the standard level.
+        i: the image's index.
+        hypotheses: (M, 3, 3) R_m2c.
+    """
+    to_members = Errors(*metrics.recall_and_precision_errors(labels.members(i), hypotheses))
+    return _with_volume(labels, on_grid, i, hypotheses, to_members)
+
+
+def _with_volume(labels: Labels, on_grid: Counted, i: int, hypotheses: Rotations, to_members: Errors) -> Errors:
+    """Return the errors of an image, given those with its members alone: they stay of a set without volume."""
+    volume = labels.volume_of(i)
+    if volume is None:
+        return to_members
+    counted = to_members.of_set[on_grid.is_counted[i][labels.symmetry_mask[i]]]
+    of_volume, shares = distances_in_volume(volume, hypotheses, THRESHOLDS_RAD)
+    return Errors(
+        np.concatenate([counted, of_volume]),
+        np.minimum(to_members.of_hypotheses, volume.distance(hypotheses)),
+        np.concatenate([np.ones(len(counted)), on_grid.grid_size * shares]),
+    )
 
 
 def _means(errors: list[Angles], weights: EachWeights | None = None) -> Values:

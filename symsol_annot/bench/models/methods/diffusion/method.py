@@ -60,7 +60,7 @@ class DiffusionLearner:
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
         """Return recall and precision (section 5.2) of 30 samples for each of up to 128 images (N, H, W, 3), uint8."""
         drawn = self._samples(images[:_EVALUATED], HYPOTHESES)
-        return hypothesis_figures((labels.members(i), of_image) for i, of_image in enumerate(drawn))
+        return hypothesis_figures(labels, drawn)
 
     def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:
         """Return the deviation and the uniform share with which smoothed samples make R_gt likeliest, and how likely.

@@ -47,7 +47,7 @@ class HypothesisLearner:
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
         """Return recall and precision (section 5.2) of images (N, H, W, 3), uint8."""
         hypotheses = all_hypotheses(self.model, images, _EVALUATED_AT_ONCE).astype(np.float64)
-        return hypothesis_figures((labels.members(i), of_image) for i, of_image in enumerate(hypotheses))
+        return hypothesis_figures(labels, hypotheses)
 
     def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:  # noqa: ARG002
         """Return nothing: hypotheses have nothing to fit."""

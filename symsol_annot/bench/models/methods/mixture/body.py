@@ -23,12 +23,14 @@ class Body:
         group: (G, 3, 3) the symmetries, identity first.
         axis: (3,) of its circle, in model coordinates; zeros for a group without one.
         is_directed: whether no symmetry turns the axis round.
+        largest_set: the largest measure of a set: the group's order, or more where sets may fill a volume.
         few: how many members a set has at most whose image shows the marking of a body with a circle.
     """
 
     group: Tensor
     axis: Tensor
     is_directed: bool
+    largest_set: int
     few: int
 
     def cpu(self) -> "Body":
@@ -37,8 +39,8 @@ class Body:
 
     @property
     def set_sizes(self) -> Tensor:
-        """(8,) the sizes of sets that a network chooses from, by the same factor from 1 to G."""
-        return len(self.group) ** (torch.arange(SET_SIZES, device=self.group.device) / (SET_SIZES - 1))
+        """(8,) the sizes of sets that a network chooses from, by the same factor from 1 to the largest."""
+        return self.largest_set ** (torch.arange(SET_SIZES, device=self.group.device) / (SET_SIZES - 1))
 
     def set_size_class(self, sizes: Tensor) -> Tensor:
         """Return which of `set_sizes` is nearest to sizes (B,), by its logarithm."""
@@ -57,14 +59,14 @@ def body_for(recipe: MixtureRecipe, symmetry_group: Rotations, device: torch.dev
         SettingsError: the structure needs a circle that the group has not.
     """
     group = torch.tensor(symmetry_group, dtype=torch.float32, device=device)
-    circles = find_circles(symmetry_group)
+    circles, largest = find_circles(symmetry_group), recipe.largest_set or len(symmetry_group)
     if circles is None:
         if recipe.structure in (CIRCLE, MARKED_CIRCLE):
             raise SettingsError(
                 f"structure: {recipe.structure!r} is for a body with a circle in its group, and this group is of "
                 f'{len(group)} isolated rotations; take "group", or "free" for a body with a marking'
             )
-        return Body(group, torch.zeros(3, device=device), is_directed=False, few=0)
+        return Body(group, torch.zeros(3, device=device), is_directed=False, largest_set=largest, few=0)
     is_directed = bool((symmetry_group @ circles.axis @ circles.axis > 0).all())
     axis = torch.tensor(np.asarray(circles.axis), dtype=torch.float32, device=device)
-    return Body(group, axis, is_directed, circles.index.shape[1] // _SHOWN_SHARE)
+    return Body(group, axis, is_directed, largest, circles.index.shape[1] // _SHOWN_SHARE)

@@ -13,6 +13,7 @@ from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import Calibration, Floats, f_measure
 from symsol_annot.bench.models.methods.mixture.image_density import ImageDensity
 from symsol_annot.bench.models.methods.mixture.recipe import MARKED_CIRCLE
+from symsol_annot.bench.predictions.counted import grid_inside
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.sets.shard.labels import Labels
 
@@ -121,9 +122,15 @@ def _f_measures(
 
 
 def _of_image(density: ImageDensity, labels: Labels, i: int, log_factors: Floats) -> Floats:
-    _, on_grid = density.claimed_on(grid_of(STANDARD_LEVEL))
-    at_members = density.log_claim(torch.from_numpy(labels.members(i)).float())
-    return f_measure(at_members.numpy(), on_grid.numpy(), log_factors)
+    near, on_grid = density.claimed_on(grid_of(STANDARD_LEVEL))
+    at_members = density.log_claim(torch.from_numpy(labels.members(i)).float()).numpy()
+    volume = labels.volume_of(i)
+    if volume is None:
+        return f_measure(at_members, on_grid.numpy(), log_factors)
+    inside = grid_inside(volume, STANDARD_LEVEL)
+    is_inside, counts = np.isin(near, inside, assume_unique=True), ~volume.contains(labels.members(i))
+    at_set = np.concatenate([at_members[counts], on_grid.numpy()[is_inside]])
+    return f_measure(at_set, on_grid.numpy()[~is_inside], log_factors, int(counts.sum()) + len(inside))
 
 
 def _best(of_images: Floats) -> tuple[float, float]:

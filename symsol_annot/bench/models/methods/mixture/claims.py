@@ -66,14 +66,17 @@ def best_threshold(log_p: npt.NDArray[Any], members: float, cells: int) -> tuple
     return float(descending[best]), float(f[best])
 
 
-def f_measure(at_members: npt.NDArray[Any], on_grid: npt.NDArray[Any], log_t: Floats) -> Floats:
+def f_measure(
+    at_members: npt.NDArray[Any], on_grid: npt.NDArray[Any], log_t: Floats, set_size: int | None = None
+) -> Floats:
     """Return the F-measures (k,) of thresholds ln t (k,).
 
     Args:
         at_members: (S,) ln p.
         on_grid: (m,) ln p of grid rotations, of all that are above any of the thresholds.
         log_t: the thresholds.
+        set_size: S, where `at_members` has not all of the set but all that are above any of the thresholds.
     """
     true = (at_members[:, None] > log_t).sum(axis=0)
     false = (on_grid[:, None] > log_t).sum(axis=0)
-    return np.asarray(2.0 * true / (true + false + len(at_members)))
+    return np.asarray(2.0 * true / (true + false + (set_size or len(at_members))))

@@ -18,6 +18,7 @@ from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP
 from symsol_annot.bench.models.networks.answers import embeddings_of
 from symsol_annot.bench.models.networks.mixture_network import MixtureNetwork, Told
 from symsol_annot.bench.models.validation import Figures
+from symsol_annot.rotations.grid import STANDARD_LEVEL, grid_size
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.shard.labels import Labels
 
@@ -30,7 +31,8 @@ class MixtureLearner:
 
     The losses of an image with the set S, and q the density that the network tells:
 
-        free            -mean over S of ln q(R), and the cross-entropy of the class of |S|
+        free            -mean over S of ln q(R), and the cross-entropy of the class of |S|; of a set that fills a volume,
+                        over rotations drawn in it
         group           -ln of the mean over g of q(R_gt g)
         circle          -ln q(R_gt a), of the axis a
         marked-circle   that, -ln q(R_gt) where the marking shows, the cross-entropy of that it shows, and where it does
@@ -47,7 +49,7 @@ class MixtureLearner:
             embeddings = self.model.first_stage(batch.images)
         told = self.model.told(embeddings.float(), is_directed=self._body.is_directed)
         if self.recipe.structure == FREE:
-            return self._free(told, *_with_members(batch), rng)
+            return self._free(told, batch, rng)
         if self.recipe.structure == GROUP:
             return self._of_group(told, batch.R_gt)
         of_axis = -told.axis.log_density((batch.R_gt @ self._body.axis)[:, None])[:, 0]
@@ -55,16 +57,20 @@ class MixtureLearner:
             of_axis if self.recipe.structure == CIRCLE else of_axis + self._of_marking(told, *_with_members(batch), rng)
         )
 
-    def _free(self, told: Told, R_gt: Tensor, is_member: Tensor, rng: torch.Generator) -> Tensor:
-        group = self._body.group
+    def _free(self, told: Told, batch: Batch, rng: torch.Generator) -> Tensor:
+        group, (R_gt, is_member) = self._body.group, _with_members(batch)
+        measure = is_member.sum(1).float()
         if len(group) > self.recipe.members:
             chosen = torch.multinomial(is_member.float(), self.recipe.members, replacement=True, generator=rng)
-            at_members = told.pose.log_density(R_gt[:, None] @ group[chosen]).mean(1)
+            R, shares = R_gt[:, None] @ group[chosen], torch.full(chosen.shape, 1.0 / self.recipe.members).to(R_gt)
         else:
-            at_candidates = told.pose.log_density(R_gt[:, None] @ group)
-            at_members = (at_candidates * is_member).sum(1) / is_member.sum(1)
-        size_class = self._body.set_size_class(is_member.sum(1))
-        of_size = functional.cross_entropy(told.set_size, size_class, reduction="none")
+            R, shares = R_gt[:, None] @ group, is_member / measure[:, None]
+        if batch.volumes is not None and (has_volume := batch.volumes.index >= 0).any():
+            of_volume = batch.volumes[has_volume]
+            R[has_volume], shares[has_volume] = of_volume.draw(R.shape[1], rng), 1.0 / R.shape[1]
+            measure[has_volume] += grid_size(STANDARD_LEVEL) * of_volume.measures()
+        at_members = (told.pose.log_density(R) * shares).sum(1)
+        of_size = functional.cross_entropy(told.set_size, self._body.set_size_class(measure), reduction="none")
         return self.recipe.marking_weight * of_size - at_members
 
     def _of_group(self, told: Told, R_gt: Tensor) -> Tensor:
