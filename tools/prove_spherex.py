@@ -34,7 +34,6 @@ BODY, X, DISC = 1, 2, 3
 CUBE_MAP = 400  # texels along a side of the map of distances
 TEXEL_RAD = 1.5 / CUBE_MAP  # that a point is from its texel's middle, at most, and a little more
 NEAR_DEG = 15.0  # within which a marking of a sample or two can be drawn the same: not in the continuous limit
-MOST_DRAWN = 300  # cubes of an image
 BESIDE = 8  # half-diagonals: what a lattice of half-pixels cannot tell from a candidate
 ROUNDING_RAD = 1e-6  # of an arccosine near 1, and more
 WITNESSES, AT_A_TIME, CUBES_AT_ONCE, MOST_CUBES = 120, 10, 4096, 300_000
@@ -202,8 +201,8 @@ def search(dataset, index, leaf_rad):
         keeps = sphere_x().kept_by_turns[sample.part_pixels[1:] > 0].all(axis=0)
         off = SymmetrySet(R_gt, sample.symmetry_group, keeps).distance_to_arcs(R)
         beyond = off > BESIDE * radius
-    tried = np.flatnonzero(beyond)[np.argsort(-off[beyond])][:MOST_DRAWN]  # the farthest first
-    same = [row for row in tried.tolist() if (label_of(points @ R[row]) == labels).all()]
+    tried = np.flatnonzero(beyond)
+    same = tried[draw_the_image(R[tried], points, labels, np.concatenate([first, last]))]
     return {
         "image": index,
         "x_px": float(sample.part_pixels[1]),
@@ -214,11 +213,22 @@ def search(dataset, index, leaf_rad):
         "half_diagonal_deg": round(float(np.degrees(radius)), 3),
         "farthest_from_a_candidate_deg": round(float(np.degrees(off.max(initial=0.0))), 2),
         "cubes_beside_all_candidates": int(beyond.sum()),
-        "of_these_drawn": len(tried),
         "of_these_drawn_the_same": len(same),
         "farthest_drawn_the_same_deg": round(float(np.degrees(off[same].max(initial=0.0))), 2),
         "seconds": round(time.monotonic() - start, 1),
     }
+
+
+def draw_the_image(R, points, labels, witnesses):
+    """Return the numbers of the rotations (n, 3, 3) that give all points their labels, the witnesses asked first."""
+    alive = np.arange(len(R))
+    for at in range(0, len(witnesses), AT_A_TIME):
+        some = witnesses[at : at + AT_A_TIME]
+        parts = [alive[begin : begin + CUBES_AT_ONCE] for begin in range(0, len(alive), CUBES_AT_ONCE)]
+        turned = (np.einsum("kij,pi->kpj", R[these], points[some]) for these in parts)
+        kept = [these[(label_of(p) == labels[some]).all(axis=1)] for these, p in zip(parts, turned, strict=True)]
+        alive = np.concatenate(kept) if kept else alive
+    return np.array([row for row in alive if (label_of(points @ R[row]) == labels).all()], dtype=np.int64)
 
 
 def left_of(cubes, points, labels, first, last, radius):

@@ -19,7 +19,7 @@ AUTO, BFLOAT16, FLOAT32 = "auto", "bfloat16", "float32"  # precisions of the bac
 LEAST_BFLOAT16_SIZE = 17  # pixels: below, torch's CPU gradients of a 3x3 convolution on a 1x1 input are garbage
 _MAX_BATCH_SIZE, _MAX_RATES, _MAX_VALIDATION_IMAGES = 2**16, 64, 10_000_000
 _LEAST_INPUT, _MAX_INPUT = 8, 4096
-_MAX_NORM = 1e6
+_MAX_NORM, _MAX_STATISTICS_IMAGES = 1e6, 2**16
 _FIRST = 1e-4  # of an epoch: the first step's rate is not 0
 _LAST_SHARE = 0.002  # of the learning rate, at the end of a cosine
 
@@ -42,6 +42,8 @@ class TrainingKeys:
         schedule: of the learning rate: "steps", between the milestones, or "cosine", from the one there is to nearly 0.
         warm_up: for how many epochs the learning rate rises from 0, a fraction as a rule.
         clip_norm: the longest gradient of a step, which longer ones are scaled to; 0 leaves them as they are.
+        statistics_images: how many train images at once give batch normalisation its means and variances after each
+            epoch; 0 keeps the running averages over batches.
         rolls: whether each batch is turned about the camera's axis by 0, 90, 180 and 270 degrees, a quarter of it each.
     """
 
@@ -57,6 +59,7 @@ class TrainingKeys:
     warm_up: float = field(default=0.0, metadata={LEFT_OUT: True})
     clip_norm: float = field(default=0.0, metadata={LEFT_OUT: True})
     rolls: bool = field(default=False, metadata={LEFT_OUT: True})
+    statistics_images: int = field(default=0, metadata={LEFT_OUT: True})
 
     @property
     def needs_members(self) -> bool:
@@ -99,6 +102,7 @@ class TrainingKeys:
             validation_images=(0, _MAX_VALIDATION_IMAGES),
             warm_up=(0.0, float(self.epochs)),
             clip_norm=(0.0, _MAX_NORM),
+            statistics_images=(0, _MAX_STATISTICS_IMAGES),
         )
         if self.input_size and not _LEAST_INPUT <= self.input_size <= _MAX_INPUT:
             yield f"input_size: expected 0, or {_LEAST_INPUT} to {_MAX_INPUT}, found {self.input_size}"

@@ -32,6 +32,7 @@ from symsol_annot.bench.models.training.pretraining import best_network, trained
 from symsol_annot.bench.models.training.record import MAX_SEED, EpochFigures, TrainingRecord, software
 from symsol_annot.bench.models.training.refusals import refuse_images, refuse_other
 from symsol_annot.bench.models.training.split_reader import SplitReader
+from symsol_annot.bench.models.training.statistics import retake_statistics
 from symsol_annot.errors import SettingsError, TrainingError
 from symsol_annot.sets.dataset import Dataset
 from symsol_annot.sets.shard.labels import Labels
@@ -218,6 +219,8 @@ class TrainingLoop:
         figures |= self._scheduled_figures(epoch + (steps - 1) / steps)
         figures["images_per_second"] = round(images_done / (time.perf_counter() - start), 1)
         self._refuse_nan(sum(float(tensor.float().abs().sum()) for tensor in self._kept_tensors()), epoch)
+        if self.record.recipe.statistics_images:
+            self._retake_statistics(epoch)
         if self._validation_images:
             figures |= self._learner.evaluate(*self._validation_images)
         calibration: dict[str, float] = {}
@@ -228,6 +231,16 @@ class TrainingLoop:
         self.record = replace(self.record, rows=(*self.record.rows, figures), calibration=calibration)
         checkpoints.save(self._out, self.record, self._model, self._optimizer)
         self._publish()
+
+    def _retake_statistics(self, epoch: int) -> None:
+        """Evaluate with the statistics of images as the epoch had them, its first, all at once."""
+        recipe, parts, count = self.record.recipe, list[Tensor](), 0
+        for batch in self._source.batches(epoch):
+            parts.append((rolled(batch) if recipe.rolls else batch).images)
+            count += len(parts[-1])
+            if count >= recipe.statistics_images:
+                break
+        retake_statistics(self._model.first_stage, torch.cat(parts)[: recipe.statistics_images])
 
     def _kept_tensors(self) -> Iterator[Tensor]:
         yield from self._model.state_dict().values()

@@ -31,8 +31,8 @@ class MixtureLearner:
 
     The losses of an image with the set S, and q the density that the network tells:
 
-        free            -mean over S of ln q(R), and the cross-entropy of the class of |S|; of a set that fills a volume,
-                        over rotations drawn in it
+        free            -mean over S of ln q(R), over rotations drawn in it where it fills a volume, and the
+                        cross-entropy of the class of |S|
         group           -ln of the mean over g of q(R_gt g)
         circle          -ln q(R_gt a), of the axis a
         marked-circle   that, -ln q(R_gt) where the marking shows, the cross-entropy of that it shows, and where it does

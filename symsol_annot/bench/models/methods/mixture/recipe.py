@@ -53,7 +53,7 @@ class MixtureRecipe(TrainingKeys):
         """Say what makes no sense."""
         yield from super().faults()
         if self.largest_set and self.structure != FREE:
-            yield f'largest_set: is of the structure "{FREE}", which tells how large a set is; this is "{self.structure}"'
+            yield f'largest_set: is for "{FREE}", which tells the size of a set; the structure is "{self.structure}"'
         yield from outside(
             self,
             components=(1, _MAX_COMPONENTS),
