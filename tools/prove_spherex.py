@@ -37,6 +37,7 @@ NEAR_DEG = 15.0  # within which a marking of a sample or two can be drawn the sa
 BESIDE = 8  # half-diagonals: what a lattice of half-pixels cannot tell from a candidate
 ROUNDING_RAD = 1e-6  # of an arccosine near 1, and more
 WITNESSES, AT_A_TIME, CUBES_AT_ONCE, MOST_CUBES = 120, 10, 4096, 300_000
+POINTS_AT_ONCE, DRAWN_AT_ONCE = 100, 1024
 CORNERS = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], float)
 
 
@@ -202,7 +203,7 @@ def search(dataset, index, leaf_rad):
         off = SymmetrySet(R_gt, sample.symmetry_group, keeps).distance_to_arcs(R)
         beyond = off > BESIDE * radius
     tried = np.flatnonzero(beyond)
-    same = tried[draw_the_image(R[tried], points, labels, np.concatenate([first, last]))]
+    same = tried[draw_the_image(R[tried], points, labels)]
     return {
         "image": index,
         "x_px": float(sample.part_pixels[1]),
@@ -219,16 +220,23 @@ def search(dataset, index, leaf_rad):
     }
 
 
-def draw_the_image(R, points, labels, witnesses):
-    """Return the numbers of the rotations (n, 3, 3) that give all points their labels, the witnesses asked first."""
-    alive = np.arange(len(R))
-    for at in range(0, len(witnesses), AT_A_TIME):
-        some = witnesses[at : at + AT_A_TIME]
-        parts = [alive[begin : begin + CUBES_AT_ONCE] for begin in range(0, len(alive), CUBES_AT_ONCE)]
+def draw_the_image(R, points, labels):
+    """Return the numbers of the rotations (n, 3, 3) that give all points their labels.
+
+    Points of parts are asked first, then those nearest to some of these, where rotations differ the most.
+    """
+    marks = np.flatnonzero(labels != BODY)
+    some_marks = np.random.default_rng(0).permutation(marks)[: WITNESSES // 2]
+    nearness = (points @ points[some_marks].T).max(axis=1)
+    nearness[marks] = np.inf
+    order, alive = np.argsort(-nearness, kind="stable"), np.arange(len(R))
+    for at in range(0, len(order), POINTS_AT_ONCE):
+        some = order[at : at + POINTS_AT_ONCE]
+        parts = [alive[begin : begin + DRAWN_AT_ONCE] for begin in range(0, len(alive), DRAWN_AT_ONCE)]
         turned = (np.einsum("kij,pi->kpj", R[these], points[some]) for these in parts)
         kept = [these[(label_of(p) == labels[some]).all(axis=1)] for these, p in zip(parts, turned, strict=True)]
         alive = np.concatenate(kept) if kept else alive
-    return np.array([row for row in alive if (label_of(points @ R[row]) == labels).all()], dtype=np.int64)
+    return alive
 
 
 def left_of(cubes, points, labels, first, last, radius):

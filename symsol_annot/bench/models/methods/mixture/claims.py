@@ -6,6 +6,9 @@ the N rotations of the grid. So
 
     E[F](j) = 2 (j / n) S / ((j / n) S + N / n sum_{i <= j} 1 / p_i + S).
 
+Of a set that fills a volume, S of the N rotations are members themselves, and the first term of the denominator, which
+counts members beside the grid, is left out.
+
 The claim is sigmoid(ln p(R) - ln t + ln 4), which is above 0.8 where p > t.
 """
 
@@ -50,18 +53,21 @@ class Calibration:
         return asdict(self)
 
 
-def best_threshold(log_p: npt.NDArray[Any], members: float, cells: int) -> tuple[float, float]:
+def best_threshold(
+    log_p: npt.NDArray[Any], members: float, cells: int, *, has_volume: bool = False
+) -> tuple[float, float]:
     """Return ln t, and the F-measure to be expected there.
 
     Args:
         log_p: (n,) ln p at samples of p.
         members: S.
         cells: N.
+        has_volume: whether the set fills a volume.
     """
     descending = np.sort(log_p)[::-1].astype(np.float64)
     share = np.arange(1, len(descending) + 1) / len(descending)
     claimed = cells * np.cumsum(np.exp(-descending)) / len(descending)
-    f = 2.0 * share * members / (share * members + claimed + members)
+    f = 2.0 * share * members / ((0.0 if has_volume else share * members) + claimed + members)
     best = int(f.argmax())
     return float(descending[best]), float(f[best])
 

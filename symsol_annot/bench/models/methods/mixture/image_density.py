@@ -56,9 +56,17 @@ class ImageDensity(ABC):
 class PoseDensity(ImageDensity):
     """The density of components on SO(3)."""
 
-    def __init__(self, told: PoseMixture, members: float, calibration: Calibration, rng: torch.Generator) -> None:
+    def __init__(
+        self,
+        told: PoseMixture,
+        members: float,
+        calibration: Calibration,
+        rng: torch.Generator,
+        *,
+        has_volume: bool = False,
+    ) -> None:
         self._told, self._members, self._rng = told, members, rng
-        self._calibration = calibration
+        self._calibration, self._has_volume = calibration, has_volume
 
     @cached_property
     def mixture(self) -> PoseMixture:
@@ -70,7 +78,7 @@ class PoseDensity(ImageDensity):
         """The logarithm of the threshold."""
         drawn = self.mixture.samples(_SAMPLES, self._rng)
         at_samples = self.mixture.of_image(drawn[0]).numpy()
-        log_t, _ = best_threshold(at_samples, self._members, grid_size(4))
+        log_t, _ = best_threshold(at_samples, self._members, grid_size(4), has_volume=self._has_volume)
         return log_t + float(np.log(self._calibration.threshold))
 
     def log_density(self, R: Tensor) -> Tensor:
@@ -331,4 +339,4 @@ class Densities:
         if self._structure == GROUP:
             return PoseDensity(told.pose.spread_over(body.group), len(body.group), calibration, rng)
         members = float(body.set_sizes[int(told.set_size[0].argmax())])
-        return PoseDensity(told.pose, members, calibration, rng)
+        return PoseDensity(told.pose, members, calibration, rng, has_volume=members > len(body.group))
