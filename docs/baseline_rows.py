@@ -130,7 +130,9 @@ class Row:
         has_structure = any(getattr(recipe, "structure", "free") != "free" for recipe in found)
         return {
             "given_group": has_structure or any(recipe.needs_rejected_candidates for recipe in found),
-            "given_sets": any(recipe.needs_members or recipe.needs_rejected_candidates for recipe in found),
+            "given_sets": any(
+                recipe.needs_members or recipe.needs_rejected_candidates or recipe.needs_volumes for recipe in found
+            ),
         }
 
 

@@ -37,7 +37,7 @@ NEAR_DEG = 15.0  # within which a marking of a sample or two can be drawn the sa
 BESIDE = 8  # half-diagonals: what a lattice of half-pixels cannot tell from a candidate
 ROUNDING_RAD = 1e-6  # of an arccosine near 1, and more
 WITNESSES, AT_A_TIME, CUBES_AT_ONCE, MOST_CUBES = 120, 10, 4096, 300_000
-POINTS_AT_ONCE, DRAWN_AT_ONCE = 100, 1024
+POINTS_AT_ONCE, DRAWN_AT_ONCE, MOST_DRAWN = 100, 1024, 4000
 CORNERS = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], float)
 
 
@@ -202,7 +202,8 @@ def search(dataset, index, leaf_rad):
         keeps = sphere_x().kept_by_turns[sample.part_pixels[1:] > 0].all(axis=0)
         off = SymmetrySet(R_gt, sample.symmetry_group, keeps).distance_to_arcs(R)
         beyond = off > BESIDE * radius
-    tried = np.flatnonzero(beyond)
+    tried = np.flatnonzero(beyond)[np.argsort(-off[beyond])]
+    tried = tried[:: max(1, -(-len(tried) // MOST_DRAWN))]  # evenly by distance, the farthest among them
     same = tried[draw_the_image(R[tried], points, labels)]
     return {
         "image": index,
@@ -214,6 +215,7 @@ def search(dataset, index, leaf_rad):
         "half_diagonal_deg": round(float(np.degrees(radius)), 3),
         "farthest_from_a_candidate_deg": round(float(np.degrees(off.max(initial=0.0))), 2),
         "cubes_beside_all_candidates": int(beyond.sum()),
+        "of_these_drawn": len(tried),
         "of_these_drawn_the_same": len(same),
         "farthest_drawn_the_same_deg": round(float(np.degrees(off[same].max(initial=0.0))), 2),
         "seconds": round(time.monotonic() - start, 1),
@@ -223,13 +225,16 @@ def search(dataset, index, leaf_rad):
 def draw_the_image(R, points, labels):
     """Return the numbers of the rotations (n, 3, 3) that give all points their labels.
 
-    Points of parts are asked first, then those nearest to some of these, where rotations differ the most.
+    Points of parts are asked first, then those nearest to some of these, then those at the ball's rim.
     """
     marks = np.flatnonzero(labels != BODY)
     some_marks = np.random.default_rng(0).permutation(marks)[: WITNESSES // 2]
     nearness = (points @ points[some_marks].T).max(axis=1)
     nearness[marks] = np.inf
-    order, alive = np.argsort(-nearness, kind="stable"), np.arange(len(R))
+    first = np.argsort(-nearness, kind="stable")[: len(marks) + POINTS_AT_ONCE]
+    by_rim = np.argsort(-points[:, 2], kind="stable")
+    order = np.concatenate([first, by_rim[~np.isin(by_rim, first)]])
+    alive = np.arange(len(R))
     for at in range(0, len(order), POINTS_AT_ONCE):
         some = order[at : at + POINTS_AT_ONCE]
         parts = [alive[begin : begin + DRAWN_AT_ONCE] for begin in range(0, len(alive), DRAWN_AT_ONCE)]

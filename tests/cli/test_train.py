@@ -6,6 +6,7 @@ import torch
 from made_sets import make_set
 from symsol_annot_cli.epoch_table import EpochTable
 from tiny_training import NARROW
+from volume_truths import made_truth
 
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint
 from symsol_annot.bench.models.validation import classifier_figures, hypothesis_figures
@@ -87,8 +88,9 @@ def test_a_training_is_extended_logged_and_its_images_kept_from_the_command_line
 
 
 def test_no_line_of_the_table_is_wider_than_a_terminal():
+    labels = made_truth(1, np.random.default_rng(0)).labels
     rows = {
-        "hypotheses": ("winners", "concentration", *hypothesis_figures([(np.eye(3)[None], np.eye(3)[None])])),
+        "hypotheses": ("winners", "concentration", *hypothesis_figures(labels, np.eye(3)[None, None])),
         "classifier": ("is_frozen", *classifier_figures([(1, 1, 1)])),
         "mixture": ("log_likelihood_at_gt",),
         "a later one": ("a_figure_without_a_short_name",),

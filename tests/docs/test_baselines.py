@@ -276,7 +276,8 @@ def test_objects_that_a_result_has_already_are_kept_when_others_are_added(made):
         ("small-wta", "small", ["cylO", "tetX"], (False, False)),
         ("small-classifier-hard-negatives", "small", ["tetX"], (True, True)),
         ("wta-von-mises", "published", ["tetX", "cylO"], (False, False)),
-        ("mixture", "published", ["tet", "cube", "icosa", "cone", "cyl", "tetX", "cylO"], (True, True)),
+        ("mixture", "published", ["tet", "cube", "icosa", "cone", "cyl", "tetX", "cylO", "sphereX"], (True, True)),
+        ("volume-classifier", "published", ["sphereX"], (False, True)),
     ],
 )
 def test_rows_of_the_repository_have_their_objects_and_say_what_they_are_told(recipe, tier, objects, told, tmp_path):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from symsol_annot.bench.predictions.counted import counted
 from symsol_annot.bench.scoring import metrics
 from symsol_annot.bench.scoring.metric import HIGHER
-from symsol_annot.bench.scoring.scorers.hypotheses import errors_of_image
+from symsol_annot.bench.scoring.scorers.hypotheses import SLACK_RAD, errors_of_image
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.rotations.so3 import Rotations
@@ -40,8 +40,9 @@ def hypothesis_figures(labels: Labels, hypotheses: Iterable[Rotations]) -> Figur
     errors = [errors_of_image(labels, on_grid, i, of_image) for i, of_image in enumerate(hypotheses)]
     of_set, of_hypotheses = (np.concatenate(parts) for parts in zip(*(e[:2] for e in errors), strict=True))
     measures = [np.ones(len(e.of_set)) if e.measures is None else e.measures for e in errors]
-    weights = np.concatenate(measures) if labels.volumes else None
-    near = np.radians([_NEAR_DEG])
+    each = zip(measures, on_grid.set_sizes, strict=False)
+    weights = np.concatenate([m * (size / m.sum()) for m, size in each]) if labels.volumes else None
+    near = np.radians([_NEAR_DEG]) + SLACK_RAD
     return {
         "recall_mean_error_rad": metrics.mean_error(of_set, weights),
         "precision_mean_error_rad": metrics.mean_error(of_hypotheses),

@@ -56,6 +56,23 @@ def test_volumes_of_images_are_taken_like_tensors():
     assert not none.contain(random_rotations((6, 50), torch.Generator().manual_seed(0))).any()
 
 
+def test_rotations_are_drawn_evenly_in_the_volume_of_their_own_image():
+    small = Volume.of_directions(lambda v: v[:, 0] >= 0.9)
+    volumes = ImageVolumes(torch.tensor([0, 1, 0]), (CAP, small))
+    torch.testing.assert_close(volumes.measures(), torch.tensor([SHARE, small.measure, SHARE], dtype=torch.float32))
+    torch.testing.assert_close(ImageVolumes(torch.tensor([-1]), (CAP,)).measures(), torch.zeros(1))
+    drawn = volumes.draw(4000, torch.Generator().manual_seed(0))
+    assert drawn.shape == (3, 4000, 3, 3)
+    assert drawn.dtype == torch.float32
+    assert torch.equal(drawn, volumes.draw(4000, torch.Generator().manual_seed(0)))
+    R = drawn.double().numpy()
+    for i, volume in enumerate((CAP, small, CAP)):
+        assert (volume.distance(R[i]) < 1e-5).all()
+    heights = -R[0, :, 2, 2]  # even from the cap's edge to its pole, as areas on a sphere are
+    assert heights.mean() == pytest.approx((1 + COSINE) / 2, abs=3 * (1 - COSINE) / np.sqrt(12 * 4000))
+    assert not torch.equal(drawn[0], drawn[2])
+
+
 def test_a_turned_image_has_the_same_volume():
     batch, _ = batch_of(8)
     R = random_rotations((8, 300), torch.Generator().manual_seed(0))

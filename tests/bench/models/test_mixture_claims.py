@@ -29,6 +29,20 @@ def test_a_ball_that_holds_all_is_claimed_whole():
     assert f == pytest.approx(2 / (1 + 29.4912 + 1))
 
 
+def test_a_set_with_volume_is_claimed_up_to_its_edge():
+    """Of a density that is 2 in the set, half of all rotations, and less outside, as the grid's own count has it."""
+    cells = 1000
+    log_p = np.concatenate([np.full(900, math.log(1.8)), np.full(100, math.log(0.2))])
+    log_t, f = best_threshold(log_p, 500, cells, has_volume=True)
+    assert log_t == pytest.approx(math.log(1.8))
+    assert f == pytest.approx(2 * 0.9 * 500 / (cells * 900 / 1.8 / 1000 + 500))  # 2 TP / (claimed + S)
+
+
+def test_of_a_set_that_is_given_in_part_its_size_counts():
+    at_set, on_grid = np.array([2.0, -1.0]), np.array([3.0, -0.5])
+    assert f_measure(at_set, on_grid, np.array([0.0]), 10) == pytest.approx([2 * 1 / (1 + 1 + 10)])
+
+
 def test_f_is_twice_the_true_ones_over_what_is_claimed_and_what_is_there():
     at_members, on_grid = np.array([2.0, 1.0, -1.0]), np.array([3.0, 0.5, -0.5, -2.0])
     found = f_measure(at_members, on_grid, np.array([0.0, 0.8, 9.0]))

@@ -7,12 +7,19 @@ import numpy as np
 import pytest
 import torch
 from tiny_training import MIXTURE
+from volume_truths import CANDIDATES, cap, made_truth, to_cap
 
 from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.methods.mixture.body import body_for
+from symsol_annot.bench.models.methods.mixture.calibration import _of_image
+from symsol_annot.bench.models.methods.mixture.claims import Calibration
+from symsol_annot.bench.models.methods.mixture.image_density import Densities
 from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
 from symsol_annot.bench.models.methods.mixture.method import METHOD
+from symsol_annot.bench.models.networks.mixtures import PoseMixture
+from symsol_annot.bench.models.volumes import ImageVolumes
 from symsol_annot.errors import SettingsError
+from symsol_annot.rotations.grid import equivolumetric_grid
 from symsol_annot.rotations.groups import cyclic_group, dihedral_group, tetrahedral_group
 from symsol_annot.rotations.so3 import uniform_rotations
 
@@ -55,6 +62,52 @@ def test_free_is_the_mean_over_members_and_the_class_of_the_sets_size():
         right = int(np.abs(np.log(sizes / count)).argmin())
         of_size = -torch.log_softmax(said.set_size[i], 0)[right]
         assert float(losses[i]) == pytest.approx(float(FREE.marking_weight * of_size - at_members), abs=1e-4)
+
+
+def test_of_a_set_with_volume_rotations_in_it_are_learnt_and_its_measure_is_its_size(monkeypatch):
+    """Of two images that fill a volume and one that does not, which learns as if there were none."""
+    candidates, rng = CANDIDATES, np.random.default_rng(0)
+    labels, volume = made_truth(3, rng, cap()).labels, cap()
+    recipe = replace(FREE, members=4, largest_set=200_000)
+    learner = learner_of(recipe, candidates)
+    batch = batch_of(candidates, torch.from_numpy(labels.symmetry_mask))._replace(
+        R_gt=torch.from_numpy(labels.rotation).float(), volumes=ImageVolumes.of(labels)
+    )
+    asked, log_density = [], PoseMixture.log_density
+    monkeypatch.setattr(PoseMixture, "log_density", lambda of, R: (asked.append(R), log_density(of, R))[1])
+    losses = learner.losses(batch, 0.0, torch.Generator().manual_seed(0))
+    (R,) = asked
+    said = told(learner, batch)
+    at_members = log_density(said.pose, R).mean(1)
+    sizes = 200_000 ** (np.arange(8) / 7)
+    for i, fills in enumerate(labels.volume >= 0):
+        measure = labels.symmetry_mask[i].sum() + (294_912 * volume.measure if fills else 0)
+        of_size = -torch.log_softmax(said.set_size[i], 0)[int(np.abs(np.log(sizes / measure)).argmin())]
+        assert float(losses[i]) == pytest.approx(float(recipe.marking_weight * of_size - at_members[i]), abs=1e-4)
+        if fills:
+            assert (to_cap(R[i].double().numpy()) < 1e-5).all()
+        else:
+            members = torch.from_numpy(labels.members(i)).float()
+            assert all(min(float((r - m).abs().max()) for m in members) < 1e-5 for r in R[i])
+    again = learner.losses(batch, 0.0, torch.Generator().manual_seed(0))
+    assert torch.equal(losses, again)
+
+
+def test_calibration_counts_a_volume_as_the_grid_does():
+    """At thresholds that claim some, all or nothing, beside counting by loops over the grid of level 4."""
+    labels = made_truth(2, np.random.default_rng(1), cap()).labels
+    recipe = replace(FREE, largest_set=200_000)
+    body = body_for(recipe, CANDIDATES, torch.device("cpu"))
+    model = METHOD.new_model(recipe, None, torch.Generator().manual_seed(0))
+    told = model.eval().told(model.first_stage(torch.zeros((1, 32, 32, 3), dtype=torch.uint8)), is_directed=False)
+    density = Densities(model, "free", body, Calibration()).of_image(told.cpu().row(0), 0)
+    grid = equivolumetric_grid(4)
+    log_claim = density.log_claim(torch.from_numpy(grid).float()).numpy()
+    is_inside = to_cap(grid) == 0
+    for log_factor in (-1.0, 0.0, 1.0):
+        true, claimed = int((log_claim > log_factor)[is_inside].sum()), int((log_claim > log_factor).sum())
+        expected = 2 * true / (claimed + int(is_inside.sum()))
+        assert _of_image(density, labels, 1, np.array([log_factor]))[0] == pytest.approx(expected, abs=2e-5)
 
 
 def test_of_more_candidates_than_it_takes_it_learns_from_members_alone():
