@@ -7,8 +7,10 @@ most r from R = exp(v). A point p of the ball that shows the label l in the imag
 model's nearest point of that label is farther than r from there, no rotation of the cube draws the image, and the cube
 is done with. Cubes that are left are cut into eight, down to a half-diagonal of --leaf degrees. What is left then is
 held against the turns that keep in place what the image shows, members or not, on which the rule decides. A cube that
-is farther from all of them than BESIDE half-diagonals is counted, and drawn at its middle: within NEAR_DEG a pixel grid
-may draw the same that the continuous limit tells apart; beyond, the set lacks a rotation.
+is farther from all of them than BESIDE half-diagonals is counted, and up to MOST_DRAWN per image are drawn at their
+middles. A part of which a sample or two show can be drawn the same by rotations far away, which the continuous limit
+tells apart: such images are searched again with a lattice FINER times as fine along each side. Where a rotation farther
+than NEAR_DEG from all candidates draws that the same, too, the set lacks a rotation.
 
 Labels are those of the ball that the mesh stands for, at the lattice's points, of which a few hundred are asked first
 and all around the parts last. Of images that show something, the hardest --hard (the least samples of a part that
@@ -33,11 +35,21 @@ from symsol_annot.rotations.so3 import quat_wxyz_to_rotation
 BODY, X, DISC = 1, 2, 3
 CUBE_MAP = 400  # texels along a side of the map of distances
 TEXEL_RAD = 1.5 / CUBE_MAP  # that a point is from its texel's middle, at most, and a little more
-NEAR_DEG = 15.0  # within which a marking of a sample or two can be drawn the same: not in the continuous limit
+FINER = 8
+NEAR_DEG = 5.0
 BESIDE = 8  # half-diagonals: what a lattice of half-pixels cannot tell from a candidate
 ROUNDING_RAD = 1e-6  # of an arccosine near 1, and more
 WITNESSES, AT_A_TIME, CUBES_AT_ONCE, MOST_CUBES = 120, 10, 4096, 300_000
-POINTS_AT_ONCE, DRAWN_AT_ONCE, MOST_DRAWN = 100, 1024, 4000
+POINTS_AT_ONCE, GROWTH, DRAWN_AT_ONCE, MOST_DRAWN = 100, 1.2, 1024, 4000
+FINER_FIGURES = (
+    "cubes_left",
+    "cubes_beside_all_candidates",
+    "of_these_drawn",
+    "of_these_drawn_the_same",
+    "farthest_from_a_candidate_deg",
+    "farthest_drawn_the_same_deg",
+    "seconds",
+)
 CORNERS = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], float)
 
 
@@ -59,7 +71,11 @@ def main():
     chosen = hardest_and_first(dataset, arguments.hard, arguments.images)
     for kind, index in chosen:
         if index not in done and time.monotonic() < end:
-            done[index] = row = {"kind": kind, **search(dataset, index, np.radians(arguments.leaf))}
+            leaf_rad = np.radians(arguments.leaf)
+            done[index] = row = {"kind": kind, **search(dataset, index, leaf_rad)}
+            if row["of_these_drawn_the_same"]:
+                again = search(dataset, index, leaf_rad, FINER)
+                row["finer"] = {name: again[name] for name in FINER_FIGURES}
             with arguments.rows.open("a") as file:
                 file.write(json.dumps(row) + "\n")
             print(row, flush=True)
@@ -67,7 +83,7 @@ def main():
     print(json.dumps(found, indent=1))
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1) + "\n")
-    sys.exit(1 if found["farthest_of_these_deg"] > NEAR_DEG else 0)
+    sys.exit(1 if found["farthest_of_these_with_finer_lattice_deg"] > NEAR_DEG else 0)
 
 
 def rows_of(path):
@@ -176,11 +192,11 @@ def witnesses(points, labels, R):
     )
 
 
-def search(dataset, index, leaf_rad):
-    """Return what is found of one image."""
+def search(dataset, index, leaf_rad, finer=1):
+    """Return what is found of one image, with a lattice some times as fine as the set's."""
     start, settings = time.monotonic(), dataset.manifest.rendered
     sample = dataset[index]
-    R_gt, points = sample.rotation, points_of(settings.camera, settings.render.samples_per_axis)
+    R_gt, points = sample.rotation, points_of(settings.camera, settings.render.samples_per_axis * finer)
     labels = label_of(points @ R_gt)
     first, last = witnesses(points, labels, R_gt)
     half = np.pi / 4
@@ -235,8 +251,8 @@ def draw_the_image(R, points, labels):
     by_rim = np.argsort(-points[:, 2], kind="stable")
     order = np.concatenate([first, by_rim[~np.isin(by_rim, first)]])
     alive = np.arange(len(R))
-    for at in range(0, len(order), POINTS_AT_ONCE):
-        some = order[at : at + POINTS_AT_ONCE]
+    ends = np.minimum(np.cumsum(POINTS_AT_ONCE * GROWTH ** np.arange(200)), len(order)).astype(int)
+    for some in np.split(order, np.unique(ends)[:-1]):
         parts = [alive[begin : begin + DRAWN_AT_ONCE] for begin in range(0, len(alive), DRAWN_AT_ONCE)]
         turned = (np.einsum("kij,pi->kpj", R[these], points[some]) for these in parts)
         kept = [these[(label_of(p) == labels[some]).all(axis=1)] for these, p in zip(parts, turned, strict=True)]
@@ -271,7 +287,7 @@ def rotations_of(vectors):
 
 def summary(rows, leaf):
     """Return the sums over images."""
-    kinds = {}
+    kinds, finer = {}, [row["finer"] for row in rows if "finer" in row]
     for row in rows:
         shows = " and ".join(name for name in ("x", "disc") if row[f"{name}_px"] > 0)
         kinds.setdefault(shows, []).append(row)
@@ -281,6 +297,12 @@ def summary(rows, leaf):
         "images_with_cubes_beside_all_candidates": sum(row["cubes_beside_all_candidates"] > 0 for row in rows),
         "images_that_rotations_beside_draw_too": sum(row["of_these_drawn_the_same"] > 0 for row in rows),
         "farthest_of_these_deg": max((row["farthest_drawn_the_same_deg"] for row in rows), default=0.0),
+        "images_that_rotations_beside_draw_too_with_finer_lattice": sum(
+            row["of_these_drawn_the_same"] > 0 for row in finer
+        ),
+        "farthest_of_these_with_finer_lattice_deg": max(
+            (row["farthest_drawn_the_same_deg"] for row in finer), default=0.0
+        ),
         "by_what_shows": {
             shows: {
                 "images": len(some),
