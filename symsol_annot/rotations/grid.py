@@ -64,7 +64,8 @@ def cell_of(R: Rotations, level: int = STANDARD_LEVEL) -> npt.NDArray[np.int64]:
     grid_size(level)
     n_side = 2**level
     direction = healpix.vec2pix(n_side, *np.moveaxis(R[..., 2], -1, 0))
-    tilt = np.arctan2(R[..., 2, 1], -R[..., 2, 0]) * (6 * n_side) / (2.0 * np.pi)
+    y, x = np.ascontiguousarray(R[..., 2, 1]), -R[..., 2, 0]  # of strided ones arctan2 may differ in the last bit
+    tilt = np.arctan2(y, x) * (6 * n_side) / (2.0 * np.pi)
     index: npt.NDArray[np.int64] = np.rint(tilt).astype(np.int64) % (6 * n_side) * (12 * n_side**2) + direction
     return index
 
