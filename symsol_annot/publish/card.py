@@ -108,7 +108,7 @@ def _contents(sets: tuple[PublishedSet, ...], figures: Figures) -> str:
                 f"{camera.width}x{camera.height}",
                 f"{camera.distance:g}",
                 f"{camera.focal_px:.3f}",
-                str(found.group_order),
+                "all of SO(3)" if published.has_all_rotations else str(found.group_order),
                 "no marking" if tolerance is None else f"{tolerance:g}",
                 _megabytes(found.shard_bytes),
                 _megabytes(found.parquet_bytes),

@@ -69,10 +69,9 @@ def to_document(figures: Figures) -> dict[str, Any]:
     for (name, split), found in figures.items():
         sizes = {str(size): images for size, images in sorted(found.statistics.set_sizes.items())}
         statistics = {**asdict(found.statistics), "set_sizes": sizes}
-        for of_parts in ("parts_shown", "breaking", "sizes_by_parts"):  # of objects that a card tells nothing of
-            del statistics[of_parts]
-        measures = statistics.pop("measures")
-        if measures:
+        for left_out in ("measures", "parts_shown", "breaking", "sizes_by_parts"):  # a card tells nothing of parts
+            del statistics[left_out]
+        if measures := found.statistics.measures:
             statistics["measures"] = {repr(share): images for share, images in sorted(measures.items())}
         document.setdefault(name, {})[split] = {**asdict(found), "statistics": statistics}
     return document

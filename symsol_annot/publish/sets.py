@@ -35,10 +35,13 @@ class PublishedSet:
     @property
     def fills_volumes(self) -> bool:
         """Whether sets of the images can fill a volume, so that each image's labels say which."""
-        settings = self.manifest.settings
-        equality = getattr(settings, "equality", None)
-        is_annotated = any(settings.is_annotated(split) for split in self.splits)
-        return is_annotated and equality is not None and bool(equality.has_all_rotations)
+        return self.has_all_rotations and any(self.manifest.settings.is_annotated(split) for split in self.splits)
+
+    @property
+    def has_all_rotations(self) -> bool:
+        """Whether the object's body has all of SO(3) as its group."""
+        equality = getattr(self.manifest.settings, "equality", None)
+        return equality is not None and bool(equality.has_all_rotations)
 
     def shard_name(self, entry: ShardEntry) -> str:
         """Return the name of a shard in the bundle."""

@@ -1,6 +1,7 @@
 """A set of an object with parts, published: the parts by name, and the rule by which they are compared."""
 
 import json
+import re
 import zlib
 from functools import partial
 
@@ -17,6 +18,7 @@ import symsol_annot
 from symsol_annot.generation.generate import generate
 from symsol_annot.objects.spec import load_object
 from symsol_annot.publish.about import About
+from symsol_annot.publish.figures import from_document, measure_labels, to_document
 from symsol_annot.publish.publication import publish
 from symsol_annot.publish.sets import sets_in
 from symsol_annot.rendering.camera import Camera
@@ -133,7 +135,21 @@ def test_a_balls_mirror_tells_which_volume_each_image_has_and_holds_it_once(roun
     fields = {field["name"] for record in records for field in record["field"]}
     assert {"thing_test/volume", "symmetry_groups/volumes"} <= fields
     assert "tetX_test/volume" not in fields
-    assert "of all rotations in" in (round_bundle / "README.md").read_text()
+    page = (round_bundle / "README.md").read_text()
+    assert "of all rotations in" in page
+    assert re.search(r"\| thing \| test \| \d+ \| 16x16 \|.*\| all of SO\(3\) \|", page)
+    assert re.search(r"\| tetX \| test \| 3 \| 16x16 \|.*\| 12 \| 5 \|", page)
+
+
+def test_figures_of_a_ball_come_back_from_json_with_the_shares_of_its_volumes(round_bundle, round_samples):
+    (published,) = sets_in(round_bundle / "data" / "thing")
+    figures = {("thing", "test"): measure_labels(published, "test")}
+    labels = round_samples.labels()
+    filled = int((labels.volume >= 0).sum())
+    assert dict(figures["thing", "test"].statistics.measures) == {labels.volumes[0].measure: filled}
+    again = from_document(json.loads(json.dumps(to_document(figures))))
+    assert again["thing", "test"].statistics.measures == figures["thing", "test"].statistics.measures
+    assert to_document(again) == to_document(figures)
 
 
 def test_a_balls_tar_files_tell_which_volume_each_image_has_beside_the_masks(round_bundle, round_samples):
