@@ -51,8 +51,7 @@ def predicted(camera):
     spec = load_object("sphereX")
     directions, T = spiral(DIRECTIONS), spec.tolerance_px or 0.0
     x, disc = (
-        visible_area_px(replace(spec.mesh, breaking=(part,)), camera, directions) >= T
-        for part in spec.mesh.breaking
+        visible_area_px(replace(spec.mesh, breaking=(part,)), camera, directions) >= T for part in spec.mesh.breaking
     )
     return {name: float(of_kind.mean()) for name, of_kind in kinds(x, disc).items()}
 

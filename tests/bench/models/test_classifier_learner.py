@@ -109,7 +109,7 @@ def test_validation_counts_are_those_of_the_whole_grid(data):
         labels = images.labels()
         pictures = torch.from_numpy(np.stack([sample.image for sample in images[:2]]))
     learner = learner_of(CLASSIFIER)
-    (first, _) = learner._validation_logits(pictures, labels)
+    (first, _) = learner.validation_logits(pictures, labels)
     assert len(first.members) == labels.set_sizes[0]
     total = len(first.near) + round(len(first.far) * first.far_weight)
     assert total == 294_912

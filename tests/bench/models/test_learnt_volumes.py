@@ -162,7 +162,7 @@ def test_a_weight_that_is_no_weight_is_a_fault_of_the_recipe():
 def test_validation_counts_a_volume_as_the_score_does():
     truth = made_truth(3, np.random.default_rng(0), CAP)
     pictures = torch.zeros((3, 16, 16, 3), dtype=torch.uint8)
-    for one, size in zip(learner_of(OUTSIDE)._validation_logits(pictures, truth.labels), truth.set_sizes, strict=True):
+    for one, size in zip(learner_of(OUTSIDE).validation_logits(pictures, truth.labels), truth.set_sizes, strict=True):
         assert one.counts(1e6)[2] == size
         assert one.counts(1e6)[0] == size
         total = len(one.near) + round(len(one.far) * one.far_weight) + one.inside_count

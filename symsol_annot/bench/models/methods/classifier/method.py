@@ -104,19 +104,19 @@ class ClassifierLearner:
 
         False positives are counted on the grid of level 4: all that are near a candidate, and a sample of the others.
         """
-        return classifier_figures(logits.counts(0.0) for logits in self._validation_logits(images, labels))
+        return classifier_figures(logits.counts(0.0) for logits in self.validation_logits(images, labels))
 
     def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:
         """Return what is added to the logits for the highest F-measure of images (N, H, W, 3), uint8, and that F."""
         if not self.recipe.fitted_shift:
             return {}
-        every = list(self._validation_logits(images, labels))
+        every = list(self.validation_logits(images, labels))
         found = {float(shift): classifier_figures(one.counts(shift) for one in every) for shift in _SHIFTS}
         best = max(found, key=lambda shift: found[shift]["f_measure"])
         return {"logit_shift": best, "f_measure": found[best]["f_measure"]}
 
     @torch.no_grad()
-    def _validation_logits(self, images: Tensor, labels: Labels) -> Iterator["_ValidationLogits"]:
+    def validation_logits(self, images: Tensor, labels: Labels) -> Iterator["_ValidationLogits"]:
         """Give the logits of each image at its members, and on the grid."""
         grid, device = grid_index(), self.model.device
         radius = _NEAR_RAD if labels.circles is None else _NEAR_CIRCLE_RAD
