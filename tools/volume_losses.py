@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from symsol_annot import load
-from symsol_annot.bench.models.kinds import kind_of
+from symsol_annot.bench.models.methods.classifier.method import ClassifierLearner
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint
 from symsol_annot.bench.models.training.split_reader import SplitReader
 from symsol_annot.bench.models.validation import classifier_figures
@@ -40,8 +40,8 @@ def figures_of(path, dataset):
     recipe = checkpoint.record.recipe
     held_out = dataset[len(dataset) - recipe.validation_images :]
     labels, images = held_out.labels(), SplitReader(recipe.input_size).read(held_out).images
-    learner = kind_of(recipe).method.learner(recipe, checkpoint.model, dataset.symmetry_group)
-    logits = list(learner._validation_logits(images, labels))  # noqa: SLF001 - that of all images, by `evaluate`
+    learner = ClassifierLearner(recipe, checkpoint.model, dataset.symmetry_group)
+    logits = list(learner.validation_logits(images, labels))
     shifts = {"as trained": 0.0, "fitted": checkpoint.record.calibration["logit_shift"]}
     has_volume = labels.volume >= 0
     chosen = {"with volume": has_volume, "without": ~has_volume, "all": np.ones_like(has_volume)}
