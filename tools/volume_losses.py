@@ -15,6 +15,8 @@ import torch
 
 from symsol_annot import load
 from symsol_annot.bench.models.methods.classifier.method import ClassifierLearner
+from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint
 from symsol_annot.bench.models.training.split_reader import SplitReader
 from symsol_annot.bench.models.validation import classifier_figures
@@ -37,10 +39,12 @@ def main():
 def figures_of(path, dataset):
     """Return a checkpoint's figures by what was added to its logits, and by images."""
     checkpoint = open_checkpoint(path)
-    recipe = checkpoint.record.recipe
+    recipe, model = checkpoint.record.recipe, checkpoint.model
+    assert isinstance(recipe, ClassifierRecipe), f"{path}: is of no classifier"
+    assert isinstance(model, RotationClassifier)
     held_out = dataset[len(dataset) - recipe.validation_images :]
     labels, images = held_out.labels(), SplitReader(recipe.input_size).read(held_out).images
-    learner = ClassifierLearner(recipe, checkpoint.model, dataset.symmetry_group)
+    learner = ClassifierLearner(recipe, model, dataset.symmetry_group)
     logits = list(learner.validation_logits(images, labels))
     shifts = {"as trained": 0.0, "fitted": checkpoint.record.calibration["logit_shift"]}
     has_volume = labels.volume >= 0
