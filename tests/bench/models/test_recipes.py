@@ -133,6 +133,26 @@ def test_small_variants_of_the_classifier_have_one_thing_new(name, differs):
     assert variant.title != plain.title
 
 
+@pytest.mark.parametrize(
+    ("name", "differs"),
+    [
+        ("volume-classifier-unweighted", {}),
+        ("volume-classifier-outside", {"negatives_outside": True}),
+        ("volume-classifier", {"negatives_weight": 0.2}),
+    ],
+)
+def test_classifiers_of_volumes_differ_in_what_negatives_weigh_alone(name, differs):
+    one, plain = recipe(name, "sphereX"), recipe("volume-classifier-unweighted", "sphereX")
+    assert one == replace(plain, title=one.title, **differs)
+    assert one.statistics_images == 2048
+
+
+@pytest.mark.parametrize("name", ["mixture", "implicit-pdf", "diffusion"])
+def test_of_spherex_alone_statistics_are_those_of_many_images(name):
+    assert recipe(name, "sphereX").statistics_images == 2048
+    assert {recipe(name, other).statistics_images for other in ("tet", "cube", "icosa", "cone", "cyl", "tetX")} == {0}
+
+
 REDUCED_CLASSIFIERS = [
     "classifier",
     *(f"classifier-{row}" for row in ("best-precision", "no-encoding", "no-pretraining")),
