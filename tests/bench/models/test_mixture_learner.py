@@ -159,6 +159,21 @@ def test_marked_circle_adds_the_pose_where_the_marking_shows_and_views_where_it_
     assert float(losses[1]) == pytest.approx(float(hidden), abs=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"structure": "group", "largest_set": 9},
+            'largest_set: is for "free", which tells the size of a set',
+        ),
+        ({"largest_set": 300_000}, "largest_set: expected 0 to 294912, found 300000"),
+    ],
+)
+def test_a_largest_set_that_means_nothing_is_a_fault(changes, said):
+    assert [fault for fault in replace(FREE, **changes).faults() if fault.startswith(said)]
+    assert not list(replace(FREE, largest_set=108_000).faults())
+
+
 def test_a_structure_of_circles_is_refused_for_a_body_without_one():
     with pytest.raises(SettingsError, match=r"'circle' is for a body with a circle.*12 isolated rotations; take \"gro"):
         body_for(replace(FREE, structure="circle"), tetrahedral_group(), torch.device("cpu"))

@@ -28,6 +28,7 @@ def test_a_name_that_is_none_is_refused_with_those_that_are():
         ({"warm_up": 1e3}, "warm_up: expected 0.0 to"),
         ({"clip_norm": -1.0}, "clip_norm: expected 0.0 to"),
         ({"rolls": 1}, "rolls: expected true or false, found 1"),
+        ({"statistics_images": -1}, "statistics_images: expected 0 to 65536, found -1"),
         ({"negatives": 8}, "negatives: is no key of a hypotheses recipe"),
         ({"batch_size": None}, "batch_size: is missing"),
         (
