@@ -5,16 +5,18 @@ python tools/prove_spherex.py data/sphereX [--minutes 60] --rows rows.jsonl [--j
 Branch and bound over SO(3). A cube of rotation vectors around v, of the half-diagonal r, holds rotations that are at
 most r from R = exp(v). A point p of the ball that shows the label l in the image lies at R^T p in the model; where the
 model's nearest point of that label is farther than r from there, no rotation of the cube draws the image, and the cube
-is done with. Cubes that are left are cut into eight, down to a half-diagonal of --leaf degrees. What is left then is
-held against the turns that keep in place what the image shows, members or not, on which the rule decides. A cube that
-is farther from all of them than BESIDE half-diagonals is counted, and up to MOST_DRAWN per image are drawn at their
-middles. A part of which a sample or two show can be drawn the same by rotations far away, which the continuous limit
-tells apart: such images are searched again with a lattice FINER times as fine along each side. Where a rotation farther
-than NEAR_DEG from all candidates draws that the same, too, the set lacks a rotation.
+is done with. Cubes that are left are cut into eight, down to a half-diagonal of --leaf degrees. What is left is held
+against the turns that keep in place what the image shows, members or not, on which the rule decides.
 
-Labels are those of the ball that the mesh stands for, at the lattice's points, of which a few hundred are asked first
-and all around the parts last. Of images that show something, the hardest --hard (the least samples of a part that
-shows) are taken first, then others in their order.
+It is done with two kinds of points. With the image's own samples no rotation that is discarded draws the same pixels.
+They cannot tell all apart: a part of which a sample or two show is drawn by rotations far away, too, with a sliver of
+another shape. So of the cubes that are farther than BESIDE half-diagonals from all turns, up to MOST_DRAWN per image
+are drawn at their middles, and those with the same samples are counted. With points of the continuous limit (on both
+sides of the parts' outlines, where they face the camera, and along the ball's rim) all the other cubes are to be
+discarded by the bound: a rotation farther than that from all turns that is left makes the command exit with 1.
+
+Labels are those of the ball that the mesh stands for. Of images that show something, the hardest --hard (the least
+samples of a part that shows) are taken first, then others in their order.
 """
 
 import argparse
@@ -33,23 +35,14 @@ from symsol_annot.objects.spec import load_object
 from symsol_annot.rotations.so3 import quat_wxyz_to_rotation
 
 BODY, X, DISC = 1, 2, 3
-CUBE_MAP = 400  # texels along a side of the map of distances
+CUBE_MAP = 1200  # texels along a side of the map of distances
 TEXEL_RAD = 1.5 / CUBE_MAP  # that a point is from its texel's middle, at most, and a little more
-FINER = 8
-NEAR_DEG = 5.0
-BESIDE = 8  # half-diagonals: what a lattice of half-pixels cannot tell from a candidate
+BESIDE = 10  # half-diagonals, 3 degrees: what one sample of a part cannot tell from a candidate
+DEEPEST_RAD = np.radians(0.01)  # half-diagonal to which cubes beside all candidates are cut in the limit
 ROUNDING_RAD = 1e-6  # of an arccosine near 1, and more
+STEP_RAD, ASIDE_RAD = np.radians(0.1), np.radians(0.01)  # between points of an outline, and of them from it
 WITNESSES, AT_A_TIME, CUBES_AT_ONCE, MOST_CUBES = 120, 10, 4096, 300_000
 POINTS_AT_ONCE, GROWTH, DRAWN_AT_ONCE, MOST_DRAWN = 100, 1.2, 1024, 4000
-FINER_FIGURES = (
-    "cubes_left",
-    "cubes_beside_all_candidates",
-    "of_these_drawn",
-    "of_these_drawn_the_same",
-    "farthest_from_a_candidate_deg",
-    "farthest_drawn_the_same_deg",
-    "seconds",
-)
 CORNERS = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)], float)
 
 
@@ -71,11 +64,7 @@ def main():
     chosen = hardest_and_first(dataset, arguments.hard, arguments.images)
     for kind, index in chosen:
         if index not in done and time.monotonic() < end:
-            leaf_rad = np.radians(arguments.leaf)
-            done[index] = row = {"kind": kind, **search(dataset, index, leaf_rad)}
-            if row["of_these_drawn_the_same"]:
-                again = search(dataset, index, leaf_rad, FINER)
-                row["finer"] = {name: again[name] for name in FINER_FIGURES}
+            done[index] = row = {"kind": kind, **search(dataset, index, np.radians(arguments.leaf))}
             with arguments.rows.open("a") as file:
                 file.write(json.dumps(row) + "\n")
             print(row, flush=True)
@@ -83,7 +72,7 @@ def main():
     print(json.dumps(found, indent=1))
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1) + "\n")
-    sys.exit(1 if found["farthest_of_these_with_finer_lattice_deg"] > NEAR_DEG else 0)
+    sys.exit(1 if found["images_with_cubes_beside_all_candidates_in_the_limit"] else 0)
 
 
 def rows_of(path):
@@ -168,7 +157,7 @@ def texels(points):
 
 @cache
 def points_of(camera, samples):
-    """Return the points (n, 3) of the unit sphere, in camera coordinates, that the lattice's rays meet."""
+    """Return the points (n, 3) of the unit sphere, in camera coordinates, that rays through an image's samples meet."""
     lattice = camera.lattice(samples)
     u, v = np.meshgrid(np.arange(lattice.width) + 0.5, np.arange(lattice.height) + 0.5)
     slopes = np.stack([u - lattice.width / 2, v - lattice.height / 2], axis=-1).reshape(-1, 2) / lattice.focal_px
@@ -180,8 +169,44 @@ def points_of(camera, samples):
     return depth[:, None] * rays - [0.0, 0.0, camera.distance]
 
 
+@cache
+def beside_outlines():
+    """Return points (n, 3) of the unit sphere, in the model's frame, on both sides of the outlines of X and disc."""
+    along = np.linspace(X_HALF_WIDTH, X_REACH, int((X_REACH - X_HALF_WIDTH) / STEP_RAD) + 2)
+    across = np.linspace(-X_HALF_WIDTH, X_HALF_WIDTH, int(2 * X_HALF_WIDTH / STEP_RAD) + 2)
+    ends = [np.column_stack([np.full(len(across), X_REACH + off), across]) for off in (-ASIDE_RAD, ASIDE_RAD)]
+    sides = [
+        np.column_stack([along, np.full(len(along), side * (X_HALF_WIDTH + off))])
+        for side in (-1, 1)
+        for off in (-ASIDE_RAD, ASIDE_RAD)
+    ]
+    arm = np.concatenate(ends + sides)
+    xy = np.concatenate([arm, -arm, arm[:, ::-1], -arm[:, ::-1]])
+    of_x = np.column_stack([xy, np.sqrt(1.0 - (xy**2).sum(axis=1))])
+    axis = disc_axis()
+    aside = np.cross(axis, [0.0, 0.0, 1.0])
+    aside /= np.linalg.norm(aside)
+    turn = np.arange(0.0, 2 * np.pi, STEP_RAD / np.sin(DISC_RADIUS_RAD))[:, None]
+    circle = np.cos(turn) * aside + np.sin(turn) * np.cross(axis, aside)
+    of_disc = [
+        np.cos(r) * axis + np.sin(r) * circle for r in (DISC_RADIUS_RAD - ASIDE_RAD, DISC_RADIUS_RAD + ASIDE_RAD)
+    ]
+    return np.concatenate([of_x, *of_disc])
+
+
+def points_in_the_limit(camera, R):
+    """Return points (n, 3) of the unit sphere, in camera coordinates: beside outlines in sight, and at its rim."""
+    horizon = -1.0 / camera.distance - ROUNDING_RAD  # the camera looks along z
+    outlines = beside_outlines() @ R.T
+    turn = np.arange(0.0, 2 * np.pi, STEP_RAD)
+    radius = np.sqrt(1.0 - horizon**2)
+    rim = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.full(len(turn), horizon)])
+    rng = np.random.default_rng(0)
+    return np.concatenate([rng.permutation(outlines[outlines[:, 2] < horizon]), rng.permutation(rim)])
+
+
 def witnesses(points, labels, R):
-    """Return the numbers of points to be asked first, and of all around the parts, which are asked last."""
+    """Return the numbers of points to be asked first, and of those around the parts, which are asked last."""
     rng = np.random.default_rng(0)
     marks, body = np.flatnonzero(labels != BODY), np.flatnonzero(labels == BODY)
     field = distances().reshape(3, -1)[1:, texels(points[body] @ R)].min(axis=0)
@@ -192,11 +217,11 @@ def witnesses(points, labels, R):
     )
 
 
-def search(dataset, index, leaf_rad, finer=1):
-    """Return what is found of one image, with a lattice some times as fine as the set's."""
+def search(dataset, index, leaf_rad):
+    """Return what is found of one image."""
     start, settings = time.monotonic(), dataset.manifest.rendered
     sample = dataset[index]
-    R_gt, points = sample.rotation, points_of(settings.camera, settings.render.samples_per_axis * finer)
+    R_gt, points = sample.rotation, points_of(settings.camera, settings.render.samples_per_axis)
     labels = label_of(points @ R_gt)
     first, last = witnesses(points, labels, R_gt)
     half = np.pi / 4
@@ -206,18 +231,18 @@ def search(dataset, index, leaf_rad, finer=1):
         radius = np.sqrt(3.0) * half
         cubes = cubes[np.linalg.norm(cubes, axis=1) - radius <= np.pi]
         nodes += len(cubes)
-        parts = [cubes[at : at + CUBES_AT_ONCE] for at in range(0, len(cubes), CUBES_AT_ONCE)]
-        cubes = np.concatenate([left_of(part, points, labels, first, last, radius) for part in parts])
+        cubes = left_of(left_of(cubes, points[first], labels[first], radius), points[last], labels[last], radius)
         if radius <= leaf_rad or not len(cubes) or len(cubes) > MOST_CUBES:
             break
         half /= 2
         cubes = (cubes[:, None] + half * CORNERS).reshape(-1, 3)
+    keeps = sphere_x().kept_by_turns[sample.part_pixels[1:] > 0].all(axis=0)
+    candidates = SymmetrySet(R_gt, sample.symmetry_group, keeps)
     R = rotations_of(cubes)
-    off, beyond = np.zeros(0), np.zeros(0, dtype=bool)
-    if len(R):
-        keeps = sphere_x().kept_by_turns[sample.part_pixels[1:] > 0].all(axis=0)
-        off = SymmetrySet(R_gt, sample.symmetry_group, keeps).distance_to_arcs(R)
-        beyond = off > BESIDE * radius
+    off = candidates.distance_to_arcs(R)
+    limit = search_in_the_limit(cubes, radius, points_in_the_limit(settings.camera, R_gt), candidates)
+
+    beyond = off > BESIDE * radius
     tried = np.flatnonzero(beyond)[np.argsort(-off[beyond])]
     tried = tried[:: max(1, -(-len(tried) // MOST_DRAWN))]  # evenly by distance, the farthest among them
     same = tried[draw_the_image(R[tried], points, labels)]
@@ -227,15 +252,40 @@ def search(dataset, index, leaf_rad, finer=1):
         "disc_px": float(sample.part_pixels[2]),
         "members": len(sample.symmetry_set.members),
         "nodes": nodes,
-        "cubes_left": len(cubes),
         "half_diagonal_deg": round(float(np.degrees(radius)), 3),
-        "farthest_from_a_candidate_deg": round(float(np.degrees(off.max(initial=0.0))), 2),
+        "cubes_left": len(cubes),
+        "farthest_from_a_candidate_deg": farthest_deg(off),
         "cubes_beside_all_candidates": int(beyond.sum()),
         "of_these_drawn": len(tried),
         "of_these_drawn_the_same": len(same),
-        "farthest_drawn_the_same_deg": round(float(np.degrees(off[same].max(initial=0.0))), 2),
+        "farthest_drawn_the_same_deg": farthest_deg(off[same]),
+        **{f"{name}_in_the_limit": value for name, value in limit.items()},
         "seconds": round(time.monotonic() - start, 1),
     }
+
+
+def search_in_the_limit(cubes, radius, points, candidates):
+    """Return what is left of cubes of a half-diagonal, those beside all candidates (R_gt first) cut further."""
+    labels, beside_rad = label_of(points @ candidates[0]), BESIDE * radius
+    cubes = left_of(cubes, points, labels, radius)
+    off = candidates.distance_to_arcs(rotations_of(cubes))
+    farthest = off[off <= beside_rad]
+    while (off > beside_rad).any() and radius > DEEPEST_RAD:
+        cubes, radius = cubes[off > beside_rad], radius / 2
+        cubes = (cubes[:, None] + radius / np.sqrt(3.0) * CORNERS).reshape(-1, 3)
+        cubes = left_of(cubes, points, labels, radius)
+        off = candidates.distance_to_arcs(rotations_of(cubes))
+        farthest = np.append(farthest, off[off <= beside_rad])
+    return {
+        "cubes_beside_all_candidates": int((off > beside_rad).sum()),
+        "farthest_from_a_candidate_deg": farthest_deg(np.append(farthest, off)),
+        "half_diagonal_deg": round(float(np.degrees(radius)), 3),
+    }
+
+
+def farthest_deg(distances_rad):
+    """Return the largest distance, or 0 of none."""
+    return round(float(np.degrees(distances_rad.max(initial=0.0))), 2)
 
 
 def draw_the_image(R, points, labels):
@@ -260,23 +310,20 @@ def draw_the_image(R, points, labels):
     return alive
 
 
-def left_of(cubes, points, labels, first, last, radius):
-    """Return the cubes (n, 3) in which a rotation may draw the image."""
-    R, alive = rotations_of(cubes), np.arange(len(cubes))
-    field, texels_of_label = distances(), 6 * CUBE_MAP**2
-    for numbers, step, at_once in ((first, AT_A_TIME, CUBES_AT_ONCE), (last, 200, 256)):
-        for at in range(0, len(numbers), step):
-            some = numbers[at : at + step]
-            base = (labels[some] - 1) * texels_of_label
-            kept = []
-            for begin in range(0, len(alive), at_once):
-                these = alive[begin : begin + at_once]
-                turned = np.einsum("kij,pi->kpj", R[these], points[some])
-                kept.append(these[(field[base + texels(turned)] <= radius + TEXEL_RAD).all(axis=1)])
-            alive = np.concatenate(kept) if kept else alive
-            if not len(alive):
-                return cubes[:0]
-    return cubes[alive]
+def left_of(cubes, points, labels, radius):
+    """Return the cubes (n, 3) of which a rotation may give all points their labels, the first points asked first."""
+    field, base = distances(), (labels - 1) * 6 * CUBE_MAP**2
+    left = [cubes[:0]]
+    for begin in range(0, len(cubes), CUBES_AT_ONCE):
+        some = cubes[begin : begin + CUBES_AT_ONCE]
+        R, at = rotations_of(some), 0
+        while at < len(points) and len(some):
+            count = max(AT_A_TIME, CUBES_AT_ONCE * AT_A_TIME // len(some))  # as many questions, whatever is left
+            turned = np.einsum("kij,pi->kpj", R, points[at : at + count])
+            kept = (field[base[at : at + count] + texels(turned)] <= radius + TEXEL_RAD).all(axis=1)
+            some, R, at = some[kept], R[kept], at + count
+        left.append(some)
+    return np.concatenate(left)
 
 
 def rotations_of(vectors):
@@ -287,7 +334,7 @@ def rotations_of(vectors):
 
 def summary(rows, leaf):
     """Return the sums over images."""
-    kinds, finer = {}, [row["finer"] for row in rows if "finer" in row]
+    kinds = {}
     for row in rows:
         shows = " and ".join(name for name in ("x", "disc") if row[f"{name}_px"] > 0)
         kinds.setdefault(shows, []).append(row)
@@ -297,11 +344,8 @@ def summary(rows, leaf):
         "images_with_cubes_beside_all_candidates": sum(row["cubes_beside_all_candidates"] > 0 for row in rows),
         "images_that_rotations_beside_draw_too": sum(row["of_these_drawn_the_same"] > 0 for row in rows),
         "farthest_of_these_deg": max((row["farthest_drawn_the_same_deg"] for row in rows), default=0.0),
-        "images_that_rotations_beside_draw_too_with_finer_lattice": sum(
-            row["of_these_drawn_the_same"] > 0 for row in finer
-        ),
-        "farthest_of_these_with_finer_lattice_deg": max(
-            (row["farthest_drawn_the_same_deg"] for row in finer), default=0.0
+        "images_with_cubes_beside_all_candidates_in_the_limit": sum(
+            row["cubes_beside_all_candidates_in_the_limit"] > 0 for row in rows
         ),
         "by_what_shows": {
             shows: {
@@ -309,6 +353,9 @@ def summary(rows, leaf):
                 "nodes": int(np.median([row["nodes"] for row in some])),
                 "seconds": float(np.median([row["seconds"] for row in some])),
                 "farthest_from_a_candidate_deg": max(row["farthest_from_a_candidate_deg"] for row in some),
+                "farthest_from_a_candidate_deg_in_the_limit": max(
+                    row["farthest_from_a_candidate_deg_in_the_limit"] for row in some
+                ),
             }
             for shows, some in sorted(kinds.items())
         },

@@ -104,7 +104,7 @@ def nearest_element(group: Rotations, R: Rotations) -> npt.NDArray[np.intp]:
     """
     elements, asked = group.reshape(-1, 9), R.reshape(-1, 9)
     step = max(_PRODUCTS // len(group), 1)
-    parts = [asked[start : start + step] for start in range(0, len(asked), step)]
+    parts = [asked[start : start + step] for start in range(0, max(1, len(asked)), step)]
     index = np.concatenate([(part @ elements.T).argmax(axis=1) for part in parts])  # the largest tr(R^T g) is nearest
     is_other = np.linalg.norm(asked - elements[index], axis=1) > _SAME_ROTATION
     if is_other.any():

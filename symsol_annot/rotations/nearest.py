@@ -21,7 +21,7 @@ _PAIRS_AT_ONCE = 2**21
 def nearest_angles(R_a: Rotations, R_b: Rotations) -> Angles:
     """Return, for each of R_a (a, 3, 3), the angle (a,) in rad to the nearest of R_b (b, 3, 3)."""
     step = max(1, _PAIRS_AT_ONCE // len(R_b))
-    parts = [R_a[start : start + step] for start in range(0, len(R_a), step)]
+    parts = [R_a[start : start + step] for start in range(0, max(1, len(R_a)), step)]
     return np.concatenate([_angles(part, R_b, _squared_distances(part, R_b).min(axis=1)) for part in parts])
 
 

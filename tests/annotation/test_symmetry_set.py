@@ -59,6 +59,14 @@ def test_a_set_contains_its_members_and_what_is_within_the_tolerance_of_them(nam
     assert not found.contains(rejected).any()
 
 
+@pytest.mark.parametrize("volume", [None, "cap"])
+@pytest.mark.parametrize("name", GROUPS)
+def test_of_no_rotations_there_are_no_distances(name, volume):
+    found, none = make_set(name, volume=CAP if volume else None), np.zeros((0, 3, 3))
+    for asked in (found.contains, found.distance, found.distance_to_arcs):
+        assert asked(none).shape == (0,)
+
+
 def test_an_arc_is_as_far_as_its_members_or_nearer():
     group = GROUPS["cyl"]
     mask = np.zeros(len(group), dtype=bool)

@@ -149,6 +149,10 @@ def test_nearest_element_finds_every_element_in_any_order(name):
     np.testing.assert_array_equal(nearest_element(group, group[order]), order)
 
 
+def test_of_no_rotations_no_element_is_nearest():
+    assert nearest_element(cyclic_group(4), np.zeros((0, 3, 3))).shape == (0,)
+
+
 def test_nearest_element_refuses_a_rotation_from_outside_the_group():
     outside = np.stack([np.eye(3), *cyclic_group(8)[1::2]])
     with pytest.raises(RotationError, match=r"4 of 5 rotations are not among the 12 elements of the group"):
