@@ -188,21 +188,6 @@ class GridIndex:
         found = np.concatenate([np.zeros(0), *lists]).astype(np.int64)
         return np.unique(found % len(self))
 
-    def each_within(self, R: Rotations, angle_rad: Angles) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Return pairs of numbers of R (n, 3, 3) and indices of grid rotations at most `angle_rad` (+ 1e-9) from it.
-
-        Args:
-            R: the rotations.
-            angle_rad: (n,), each less than pi.
-
-        Returns:
-            The numbers (k,), ascending, and the indices (k,), those of one rotation in no order, each once.
-        """
-        chord = 2.0 * np.sin((angle_rad + _ROUNDING_RAD) / 4.0)
-        lists = self._tree.query_ball_point(rotation_to_quat_wxyz(R), chord, return_sorted=False)
-        found = np.concatenate([np.zeros(0), *lists]).astype(np.int64)
-        return np.repeat(np.arange(len(R)), [len(one) for one in lists]), found % len(self)
-
 
 def grid_index(level: int = STANDARD_LEVEL) -> GridIndex:
     """Return the index of a level's grid; those up to the standard level are made once, and shared.

@@ -96,20 +96,3 @@ def test_within_no_angle_of_a_rotation_of_the_grid_is_that_one_and_within_all_an
     for i in range(0, len(index), len(index) // 24):
         assert index.within(grid_of(level)[i][None], 1e-9).tolist() == [i]
         assert len(index.within(grid_of(level)[i][None], np.pi)) == len(index)
-
-
-@levels_to[2]
-def test_each_has_its_own_within_an_angle_of_its_own_and_each_of_them_once(level):
-    index, R = index_of(level), uniform(20, seed=3)
-    angles = np.random.default_rng(4).uniform(0.0, 3.0, len(R))
-    which, found = index.each_within(R, angles)
-    assert (which.dtype, found.dtype) == (np.int64, np.int64)
-    assert (np.diff(which) >= 0).all()
-    for i, angle in enumerate(angles):
-        of_one = found[which == i].tolist()
-        assert sorted(of_one) == index.within(R[i : i + 1], angle).tolist()
-
-
-def test_each_of_none_has_none():
-    which, found = index_of(1).each_within(np.zeros((0, 3, 3)), np.zeros(0))
-    assert len(which) == len(found) == 0

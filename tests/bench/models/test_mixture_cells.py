@@ -8,6 +8,7 @@ import torch
 
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.networks.mixtures import PoseMixture
+from symsol_annot.rotations.so3 import rotations_about
 
 LEVEL = 3
 
@@ -34,8 +35,8 @@ def mixed():
 def test_what_is_left_out_is_less_than_stated(mixture, log_least):
     """Beside 2% of rounding: a precision of 60,000 in 32 bits."""
     grid = grid_of(LEVEL)
-    whole = mixture.of_image(grid.rotations).double().exp()
-    found = grid.log_density(mixture, log_least).double().exp()
+    whole = mixture.of_image(grid.rotations).double().exp().numpy()
+    found = grid.density(mixture, log_least)
     left_out = mixture.components * np.exp(log_least)
     assert (whole - found < left_out + 0.02 * whole).all()
     assert (found - whole < 0.02 * whole).all()
@@ -43,13 +44,13 @@ def test_what_is_left_out_is_less_than_stated(mixture, log_least):
 
 def test_something_is_left_out_where_it_may_be():
     grid, mixture = grid_of(LEVEL), poses(2.5)
-    assert (grid.log_density(mixture, 2.0) < mixture.of_image(grid.rotations) - 1e-3).any()
+    assert (np.log(grid.density(mixture, 2.0)) < mixture.of_image(grid.rotations).numpy() - 1e-3).any()
 
 
 def test_without_a_share_that_is_large_enough_the_uniform_component_is_left():
     grid, mixture = grid_of(LEVEL), poses(2.5)
-    found = grid.log_density(mixture, float(mixture.log_peaks.max()) + 1.0)
-    torch.testing.assert_close(found, mixture.log_weights[0, -1].expand(len(grid)))
+    found = grid.density(mixture, float(mixture.log_peaks.max()) + 1.0)
+    np.testing.assert_allclose(found, np.full(len(grid), mixture.log_weights[0, -1].exp()))
 
 
 def test_what_is_chosen_of_a_mixture_keeps_its_weights():
@@ -61,8 +62,16 @@ def test_what_is_chosen_of_a_mixture_keeps_its_weights():
     torch.testing.assert_close(chosen.log_weights[:, -1], mixture.log_weights[:, -1])
 
 
-def test_the_share_of_one_component_at_one_rotation_is_that_of_all_at_all():
-    mixture, R = poses(1.0), grid_of(1).rotations[:5]
-    which = torch.tensor([0, 5, 2, 2, 1])
-    everything = mixture.log_shares(R)[0]
-    torch.testing.assert_close(mixture.log_shares_of(which, R), everything[torch.arange(5), which], atol=1e-3, rtol=0)
+@pytest.mark.parametrize("mixture", [poses(0.0), mixed()], ids=["broad", "mixed"])
+def test_along_the_tilts_of_a_direction_a_share_is_a_cosine(mixture):
+    R, t = grid_of(1).rotations[:7], torch.linspace(-4.0, 4.0, 9)
+    turn = torch.from_numpy(rotations_about((0, 0, 1), t.double().numpy())).float()
+    a, b, c = mixture.along_third_axis(R)
+    found = c + a * t.cos()[:, None, None] + b * t.sin()[:, None, None]
+    expected = mixture.log_shares((R @ turn[:, None]).flatten(0, 1))[0].reshape(found.shape)
+    torch.testing.assert_close(found, expected, atol=0.02, rtol=1e-5)
+
+
+def test_of_a_mixture_without_components_the_density_is_uniform():
+    none = poses(1.0).chosen(torch.zeros(6, dtype=torch.bool))
+    np.testing.assert_allclose(grid_of(0).density(none, -24.0), np.full(72, none.log_weights[0, -1].exp()))

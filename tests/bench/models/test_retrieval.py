@@ -170,7 +170,7 @@ def test_the_same_call_goes_on_with_what_is_left(folder, train, tmp_path, monkey
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(retrieval, "write_density", stop)
+        patch.setattr(retrieval, "write_cells", stop)
         with pytest.raises(KeyboardInterrupt):
             retrieve(load(folder), train, tmp_path / "stopped.h5", level=0)
     retrieve(load(folder), train, tmp_path / "stopped.h5", level=0)

@@ -101,10 +101,16 @@ class PoseMixture(LogDensity):
         turned, constants = self._linear
         return torch.baddbmm(constants[:, None], _by_image(at, 3).flatten(-2).expand(len(constants), -1, -1), turned.mT)
 
-    def log_shares_of(self, chosen: Tensor, at: Tensor) -> Tensor:
-        """Return ln of what chosen components (k,) of the only image add to p at rotations (k, 3, 3): (k,)."""
+    def along_third_axis(self, R: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return a, b and c (n, M), by which ln of the only image's shares at R Rz(t) is c + a cos t + b sin t.
+
+        R is (n, 3, 3). With the columns r of R and h of a component's matrix H A, a = <h1, r1> + <h2, r2>,
+        b = <h1, r2> - <h2, r1>, and c is <h3, r3> and the constant.
+        """
         turned, constants = self._linear
-        return (turned[0, chosen] * at.flatten(1)).sum(-1) + constants[0, chosen]
+        h1, h2, h3 = turned[0].reshape(-1, 3, 3).unbind(-1)
+        r1, r2, r3 = R.unbind(-1)
+        return r1 @ h1.mT + r2 @ h2.mT, r2 @ h1.mT - r1 @ h2.mT, r3 @ h3.mT + constants[0]
 
     @cached_property
     def _linear(self) -> tuple[Tensor, Tensor]:

@@ -12,9 +12,17 @@ import symsol_annot
 from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT
 from symsol_annot.bench.models.retrieval.embedding import embed_dataset
 from symsol_annot.bench.models.retrieval.fitting import fit_bandwidths, fit_claims
-from symsol_annot.bench.models.retrieval.view_density import Bandwidths, Cells, ClaimRule, ViewDensity, weights_of
+from symsol_annot.bench.models.retrieval.view_density import (
+    Bandwidths,
+    Cells,
+    ClaimRule,
+    Floats,
+    ViewDensity,
+    weights_of,
+)
 from symsol_annot.bench.models.retrieval.view_index import QUARTER_TURNS, ViewIndex
-from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
+from symsol_annot.bench.predictions.writing.listed import write_cells, write_claims
+from symsol_annot.bench.predictions.writing.submission import write_hypotheses
 from symsol_annot.errors import DataError
 from symsol_annot.rotations.grid import STANDARD_LEVEL
 from symsol_annot.rotations.so3 import Rotations
@@ -119,15 +127,11 @@ def _write_grid_tracks(
     writing: _Writing,
 ) -> None:
     """Write the claims, where there is a rule for them, and the densities."""
-    level, count = cells.index.level, len(cells)
+    level = cells.index.level
     if rule is not None:
-        claims = _claims(densities, rule, cells)
-        write_classifier(path, test, claims, level=level, batch_size=count, **writing)
-
-    def density(i: int, _: Rotations) -> npt.NDArray[np.float64]:
-        return densities[i].on_cells(cells)
-
-    write_density(path, test, density, floor=floor, level=level, batch_size=count, **writing)
+        at_queries, on_grid = _claims(densities, rule, cells)
+        write_claims(path, test, at_queries, on_grid, level=level, **writing)
+    write_cells(path, test, lambda i: densities[i].on_cells(cells), floor=floor, level=level, **writing)
 
 
 def _refuse(test: Dataset, train: Dataset) -> None:
@@ -146,18 +150,20 @@ def _refuse(test: Dataset, train: Dataset) -> None:
 
 def _claims(
     densities: list[ViewDensity], rule: ClaimRule, cells: Cells
-) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
-    """Return what takes an image's index and rotations (n, 3, 3) to probabilities (n,), above 0.8 where p > t."""
+) -> tuple[Callable[[int, Rotations], Floats], Callable[[int], tuple[npt.NDArray[np.int64], Floats]]]:
+    """Return what takes an image's index and rotations to probabilities, and its index to those near its views."""
 
-    def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
-        density = densities[i]
-        if len(R) == len(cells) and np.array_equal(R, cells.index.rotations):
-            log_p = np.full(len(R), -np.inf)
-            near, values = density.near(cells)
-            log_p[near] = values
-        else:
-            log_p = density.log_density(R)
-        logit = log_p - density.log_threshold(rule) + CLAIM_LOGIT
-        return (1.0 / (1.0 + np.exp(-np.clip(logit, -80.0, 80.0)))).astype(np.float32)
+    def probabilities(i: int, log_p: Floats) -> Floats:
+        """Return what is above 0.8 where p > t."""
+        logit = log_p - densities[i].log_threshold(rule) + CLAIM_LOGIT
+        found: Floats = 1.0 / (1.0 + np.exp(-np.clip(logit, -80.0, 80.0)))
+        return found
 
-    return classify
+    def at_queries(i: int, R: Rotations) -> Floats:
+        return probabilities(i, densities[i].log_density(R))
+
+    def on_grid(i: int) -> tuple[npt.NDArray[np.int64], Floats]:
+        near, log_p = densities[i].near(cells)
+        return near, probabilities(i, log_p)
+
+    return at_queries, on_grid

@@ -31,7 +31,8 @@ from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.mixtures import PoseMixture
 from symsol_annot.bench.models.networks.score_network import ScoreNetwork
 from symsol_annot.bench.models.validation import Figures, hypothesis_figures
-from symsol_annot.bench.predictions.writing.submission import write_density, write_hypotheses
+from symsol_annot.bench.predictions.writing.listed import write_cells
+from symsol_annot.bench.predictions.writing.submission import write_hypotheses
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 from symsol_annot.sets.shard.labels import Labels
@@ -149,24 +150,15 @@ class DiffusionMethod:
         deviation, share = calibration.get("deviation_rad", 0.05), calibration.get("uniform_share", 0.03)
         grid, by, resume = grid_of(asked.level), asked.method, asked.resume
 
-        def cells(i: int, _: Rotations) -> npt.NDArray[np.float32]:
+        def cells(i: int) -> npt.NDArray[np.float64]:
             mixture = smoothed_samples(torch.from_numpy(samples(i)).float()[None], deviation, share)
             density = PoseDensity(mixture, 1.0, Calibration(), torch.Generator())
-            log_p: npt.NDArray[np.float32] = density.on_cells(grid).numpy()
+            log_p: npt.NDArray[np.float64] = density.on_cells(grid).double().numpy()
             return log_p
 
         with torch.no_grad():
             write_hypotheses(path, dataset, lambda i: samples(i)[:HYPOTHESES], method=by, resume=resume)
-            write_density(
-                path,
-                dataset,
-                cells,
-                method=by,
-                floor=LEAST_CELL,
-                resume=resume,
-                level=asked.level,
-                batch_size=len(grid),
-            )
+            write_cells(path, dataset, cells, method=by, floor=LEAST_CELL, level=asked.level, resume=resume)
 
 
 def _samples_by_index(

@@ -91,14 +91,13 @@ class PoseDensity(ImageDensity):
 
     def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
         """Return grid indices, and ln p - ln t there."""
-        log_least = min(_LOG_LEAST, self.log_t - CLAIMED_FROM - _NEGLIGIBLE)
-        log_claim = grid.log_density(self.mixture, log_least) - self.log_t
-        near = torch.nonzero(log_claim > -CLAIMED_FROM)[:, 0]
-        return near.numpy(), log_claim[near]
+        p = grid.density(self.mixture, self.log_t - CLAIMED_FROM - _NEGLIGIBLE)
+        near = np.flatnonzero(p > np.exp(self.log_t - CLAIMED_FROM))
+        return near, torch.from_numpy(np.log(p[near]) - self.log_t).float()
 
     def on_cells(self, grid: Grid) -> Tensor:
         """Return ln p (N,) averaged over cells, nearly."""
-        return grid.log_density(self.mixture.blurred(grid.blur_rad), _LOG_LEAST)
+        return torch.from_numpy(np.log(grid.density(self.mixture.blurred(grid.blur_rad), _LOG_LEAST))).float()
 
     def hypotheses(self) -> npt.NDArray[np.float64]:
         """Return the centres of the components that weigh more than 0.01, or half of the heaviest, heaviest first."""

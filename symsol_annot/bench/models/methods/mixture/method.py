@@ -7,23 +7,26 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
 from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT, Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, Densities, ImageDensity
+from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, Densities, ImageDensity, Indices
 from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
 from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP, MARKED_CIRCLE, MixtureRecipe
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.mixture_network import Heads, MixtureNetwork, Told
-from symsol_annot.bench.predictions.writing.submission import write_classifier, write_density, write_hypotheses
+from symsol_annot.bench.predictions.writing.listed import write_cells, write_claims
+from symsol_annot.bench.predictions.writing.submission import write_hypotheses
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 
 _AT_ONCE = 256  # images embedded
-_LEAST_CLAIM = -30.0  # of the logits of grid rotations that are not looked at
+
+Floats32 = npt.NDArray[np.float32]
 
 
 def heads_of(recipe: MixtureRecipe) -> Heads:
@@ -57,33 +60,30 @@ class MixtureMethod:
         density = _densities_by_index(model, recipe, dataset, Calibration.from_record(asked.calibration))
         grid, by, resume = grid_of(asked.level), asked.method, asked.resume
 
-        def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
-            if not np.array_equal(R, grid.index.rotations):
-                logits = density(i).log_claim(torch.from_numpy(R).float())
-            else:
-                logits = torch.full((len(grid),), _LEAST_CLAIM)
-                near, log_claim = density(i).claimed_on(grid)
-                logits[near] = log_claim
-            probabilities: npt.NDArray[np.float32] = torch.sigmoid(logits + CLAIM_LOGIT).numpy()
-            return probabilities
+        def at_queries(i: int, R: Rotations) -> Floats32:
+            return _claimed(density(i).log_claim(torch.from_numpy(R).float()))
 
-        def cells(i: int, _: Rotations) -> npt.NDArray[np.float32]:
-            log_p: npt.NDArray[np.float32] = density(i).on_cells(grid).numpy()
-            return log_p
+        def on_grid(i: int) -> tuple[Indices, Floats32]:
+            near, log_claim = density(i).claimed_on(grid)
+            return near, _claimed(log_claim)
 
         with torch.no_grad():
             write_hypotheses(path, dataset, lambda i: density(i).hypotheses(), method=by, resume=resume)
-            write_classifier(path, dataset, classify, method=by, resume=resume, level=asked.level, batch_size=len(grid))
-            write_density(
+            write_claims(path, dataset, at_queries, on_grid, method=by, level=asked.level, resume=resume)
+            write_cells(
                 path,
                 dataset,
-                cells,
+                lambda i: density(i).on_cells(grid).double().numpy(),
                 method=by,
                 floor=LEAST_CELL,
-                resume=resume,
                 level=asked.level,
-                batch_size=len(grid),
+                resume=resume,
             )
+
+
+def _claimed(log_claim: Tensor) -> Floats32:
+    probabilities: Floats32 = torch.sigmoid(log_claim + CLAIM_LOGIT).numpy()
+    return probabilities
 
 
 def _densities_by_index(
