@@ -37,6 +37,12 @@ from symsol_annot.system.machine import check_extra
     show_default=True,
     help="Of the products that score rotations. bfloat16 is faster on CPUs that compute in it; auto takes it there.",
 )
+@click.option(
+    "--compile",
+    "is_compiled",
+    is_flag=True,
+    help="Use torch.compile to score rotations, which makes bfloat16 faster. Needs a C++ compiler.",
+)
 def predict(
     checkpoint: Path,
     data: Path,
@@ -46,6 +52,8 @@ def predict(
     method: str | None,
     level: int,
     precision: str,
+    *,
+    is_compiled: bool,
 ) -> None:
     """Write the predictions of a trained model, for `score`.
 
@@ -59,7 +67,9 @@ def predict(
     chosen = devices.choose_device(device)
     model = checkpoints.open_checkpoint(checkpoint)
     with dataset.load(find_set(data, model.record.object), split) as images:
-        tracks = inference.predict(model, images, out, chosen, method=method, level=level, precision=precision)
+        tracks = inference.predict(
+            model, images, out, chosen, method=method, level=level, precision=precision, is_compiled=is_compiled
+        )
     say(
         f"{out}: {', '.join(tracks)} about {len(images)} images of {images.object}\n"
         f"Next:\n  symsol-annot score {out} --data {data}"

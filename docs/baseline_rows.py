@@ -106,7 +106,7 @@ class Row:
         """Return the words that predict an object's test images."""
         run = f"{name}-{self.name}"
         kind = kind_of(load_recipe(self.recipe).for_object(name, has_marking=False))
-        asked = ["--precision", "auto"] if kind.scores_rotations and self.tier == "published" else []
+        asked = ["--precision", "auto", "--compile"] if kind.scores_rotations and self.tier == "published" else []
         return ["symsol-annot", "predict", f"runs/{run}", "--data", self.data, "--out", f"{run}.h5", *asked]
 
     def score_command(self, names: list[str]) -> list[str]:

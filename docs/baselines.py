@@ -13,6 +13,7 @@ in the working folder, keep theirs. Notes that somebody wrote into a result's fi
 import argparse
 import datetime as dt
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -50,6 +51,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="the working folder  [default: build/baselines/TIER]")
     parser.add_argument("--only", choices=STEPS, action="append", help="one step; may be repeated")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that a step's note is written
     tier = options.tier or ("small" if options.row.startswith("small-") else "published")
     folder = options.folder or WORK / tier
     try:

@@ -25,6 +25,7 @@ def predict(
     method: str | None = None,
     level: int = STANDARD_LEVEL,
     precision: str = FLOAT32,
+    is_compiled: bool = False,
 ) -> tuple[str, ...]:
     """Write a model's predictions about a split; where that was stopped, the same model goes on with what is left.
 
@@ -37,12 +38,13 @@ def predict(
         level: of the grid a classifier is asked on; only the standard one ranks.
         precision: of the matrix products that score rotations: "float32", "bfloat16", or "auto", bfloat16 on a CPU that
             computes in it. Kinds of models that score none compute in float32.
+        is_compiled: whether torch.compile makes it faster to score rotations, after a minute or so.
 
     Returns:
         The names of the tracks.
 
     Raises:
-        SettingsError: the device does not compute in that precision.
+        SettingsError: the device does not compute in that precision, or torch.compile fails.
         ModelError: the model was trained on another object or size of image, or the device has too little memory.
         NotAnnotatedError: the split has no symmetry sets.
         PredictionsError: the file is there and about something else, or another model's answers are kept beside it.
@@ -54,7 +56,7 @@ def predict(
     by, who = method or checkpoint.record.name, identity(checkpoint, products)
     with full_precision():
         model = checkpoint.model.to(device)
-        asked = Asked(by, level, who, checkpoint.record.calibration, products)
+        asked = Asked(by, level, who, checkpoint.record.calibration, products, is_compiled)
         kind.method.write_predictions(model, checkpoint.record.recipe, dataset, path, asked)
     return kind.tracks
 

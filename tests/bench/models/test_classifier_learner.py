@@ -10,9 +10,9 @@ from tiny_training import CLASSIFIER, CPU
 
 from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.inference import predict
-from symsol_annot.bench.models.methods.classifier.method import METHOD, ClassifierLearner, _ValidationLogits
+from symsol_annot.bench.models.methods.classifier.method import METHOD, ClassifierLearner, ValidationLogits
 from symsol_annot.bench.models.methods.classifier.negatives import near_negatives, random_rotations
-from symsol_annot.bench.models.networks.answers import logits_at
+from symsol_annot.bench.models.networks.answers import RotationScorer
 from symsol_annot.bench.models.training import loop
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint
 from symsol_annot.bench.models.training.loop import train
@@ -94,11 +94,13 @@ def test_shares_of_rotations_give_the_logits_of_asking_in_one():
     R = torch.from_numpy(uniform_rotations(1500, np.random.default_rng(1))).float()
     whole = learner.model.logits(embeddings, R)
     for embedding, expected in zip(embeddings, whole, strict=True):
-        assert torch.allclose(logits_at(learner.model, embedding, learner.model.shares(R)), expected, atol=1e-5)
+        assert torch.allclose(
+            RotationScorer(learner.model).logits(embedding, learner.model.shares(R)), expected, atol=1e-5
+        )
 
 
 def test_far_rotations_count_for_those_that_were_not_asked():
-    one = _ValidationLogits(torch.tensor([3.0, 0.0]), torch.tensor([2.0, -1.0]), torch.tensor([5.0, 0.0, -9.0]), 40.0)
+    one = ValidationLogits(torch.tensor([3.0, 0.0]), torch.tensor([2.0, -1.0]), torch.tensor([5.0, 0.0, -9.0]), 40.0)
     assert one.counts(0.0) == (1, 1 + 40, 2)
     assert one.counts(2.0) == (2, 1 + 80, 2)
     assert one.counts(-9.0) == (0, 0, 2)

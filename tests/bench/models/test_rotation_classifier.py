@@ -9,9 +9,11 @@ import pytest
 import torch
 from reference_models import classifier, pictures, rotations, seeded, with_statistics
 
-from symsol_annot.bench.models.networks.answers import matrix_products
+from symsol_annot.bench.models.networks.answers import RotationScorer, matrix_products
 from symsol_annot.bench.models.networks.rotation_classifier import positional_encoding
-from symsol_annot.errors import RotationError
+from symsol_annot.errors import RotationError, SettingsError
+
+compiles = pytest.mark.filterwarnings("ignore:`torch.jit.script_method` is deprecated:DeprecationWarning")
 
 
 def encoding_by_hand(x, frequencies):
@@ -76,11 +78,37 @@ def test_rotations_of_another_shape_are_refused(shape):
         classifier().logits(torch.zeros(2, 256), torch.zeros(shape))
 
 
-def test_the_precision_of_products_is_that_of_before_afterwards():
-    before = torch.get_float32_matmul_precision()
-    with matrix_products("bfloat16"):
-        assert torch.get_float32_matmul_precision() == "medium"
-    assert torch.get_float32_matmul_precision() == before
-    with contextlib.suppress(KeyError), matrix_products("bfloat16"):
+def test_only_products_within_are_rounded():
+    layer, values = torch.nn.Linear(64, 64), torch.randn(8, 64, generator=torch.Generator().manual_seed(0))
+    whole = layer(values)
+    with contextlib.suppress(KeyError), matrix_products(torch.device("cpu"), "bfloat16"):
+        rounded = layer(values)
         raise KeyError
-    assert torch.get_float32_matmul_precision() == before
+    with matrix_products(torch.device("cpu"), "float32"):
+        assert torch.equal(layer(values), whole)
+    assert torch.equal(layer(values), whole)
+    assert 1e-6 < (rounded.float() - whole).abs().max() < 0.02
+
+
+@compiles
+@pytest.mark.parametrize(("products", "tolerance"), [("float32", 1e-5), ("bfloat16", 0.02)])
+def test_a_compiled_scorer_gives_the_logits_of_one_that_is_not(products, tolerance):
+    """Of whole parts, and of the rest that is not as long."""
+    model, rng = classifier().eval(), torch.Generator().manual_seed(0)
+    embedding, shares = torch.randn(256, generator=rng), torch.randn(2**12 + 100, 256, generator=rng)
+    plain, compiled = (RotationScorer(model, products, is_compiled=one).logits(embedding, shares) for one in (0, 1))
+    assert len(plain) == len(compiled) == len(shares)
+    torch.testing.assert_close(plain, compiled, atol=tolerance, rtol=0)
+
+
+@compiles
+def test_where_nothing_can_be_compiled_an_error_says_what_to_do(monkeypatch):
+    monkeypatch.setenv("CXX", "/no/compiler")
+    monkeypatch.setattr(torch._inductor.config.cpp, "cxx", (None, "/no/compiler"))
+    torch._dynamo.reset()
+    scorer = RotationScorer(classifier().eval(), is_compiled=True)
+    with (
+        torch._inductor.utils.fresh_inductor_cache(),
+        pytest.raises(SettingsError, match=r"torch.compile fails here .*; leave out --compile"),
+    ):
+        scorer.logits(torch.zeros(256), torch.zeros(2**9, 256))

@@ -31,6 +31,7 @@ class Asked:
         resume: names the model: kept answers of another are refused.
         calibration: what was fitted on validation images, by names.
         products: the precision of the matrix products that score rotations, "float32" or "bfloat16".
+        is_compiled: whether torch.compile makes scoring rotations faster.
     """
 
     method: str
@@ -38,6 +39,7 @@ class Asked:
     resume: str
     calibration: Mapping[str, float]
     products: str = FLOAT32
+    is_compiled: bool = False
 
 
 class Learner(Protocol):

@@ -46,7 +46,7 @@ class RotationClassifier(ReferenceModel):
         encoding_size = 9 * 2 * frequencies or 9
         with torch.random.fork_rng(devices=[]):  # torch's layers draw weights that are drawn again below
             super().__init__(backbone, input_size)
-            self.second_stage = _SecondStage(encoding_size)
+            self.second_stage = SecondStage(encoding_size)
         self.frequencies = frequencies
         self.begin(pretrained, rng)
 
@@ -75,12 +75,8 @@ class RotationClassifier(ReferenceModel):
         """Return what rotations (Q, 3, 3) bring to the second stage's first layer (Q, 256), for all images the same."""
         return self.second_stage.share_of_rotations(positional_encoding(R.flatten(-2), self.frequencies))
 
-    def logits_from_shares(self, embedding: Tensor, shares: Tensor) -> Tensor:
-        """Return the logits (Q,) of one embedded image (E,) at rotations with such shares (Q, 256)."""
-        return self.second_stage.from_shares(embedding[None], shares)[0]
 
-
-class _SecondStage(nn.Module):
+class SecondStage(nn.Module):
     """From an embedding side by side with an encoded rotation to a logit: two hidden layers with ReLU."""
 
     def __init__(self, encoding_size: int) -> None:
@@ -90,19 +86,26 @@ class _SecondStage(nn.Module):
         self.logit = nn.Linear(HIDDEN_SIZE, 1)
 
     def forward(self, embeddings: Tensor, encoded: Tensor) -> Tensor:
-        # A layer on values side by side is the sum of a layer on each: an embedding's share is worked out once per
-        # image, and that of rotations which the images have in common once for all of them.
-        return self.from_shares(embeddings, self.share_of_rotations(encoded))
+        """Return the logits (B, Q) of embeddings (B, E) at encoded rotations (Q, n) or (B, Q, n).
+
+        A layer on values side by side is the sum of a layer on each: an embedding's share is worked out once per image,
+        and that of rotations which the images have in common once for all of them.
+        """
+        return self.from_shares(self.share_of_embeddings(embeddings)[:, None], self.share_of_rotations(encoded))
+
+    def share_of_embeddings(self, embeddings: Tensor) -> Tensor:
+        """Return what embeddings (B, E) bring to the first layer (B, 256)."""
+        return functional.linear(embeddings, self.entry.weight[:, :EMBEDDING_SIZE], self.entry.bias)
 
     def share_of_rotations(self, encoded: Tensor) -> Tensor:
+        """Return what encoded rotations (..., n) bring to the first layer (..., 256)."""
         of_rotation = self.entry.weight[:, EMBEDDING_SIZE:]
         return functional.linear(encoded.to(of_rotation.dtype), of_rotation)
 
-    def from_shares(self, embeddings: Tensor, of_rotations: Tensor) -> Tensor:
-        of_embedding = self.entry.weight[:, :EMBEDDING_SIZE]
-        x = functional.relu(functional.linear(embeddings, of_embedding, self.entry.bias)[:, None] + of_rotations)
-        hidden = functional.relu(self.hidden(x))
-        with torch.autocast(x.device.type, enabled=False):  # bfloat16 would round a logit of 20 by 0.06
+    def from_shares(self, of_embeddings: Tensor, of_rotations: Tensor) -> Tensor:
+        """Return the logits (...) of what both bring, (..., 256) of shapes that fit each other."""
+        hidden = functional.relu(self.hidden(functional.relu(of_embeddings + of_rotations)))
+        with torch.autocast(hidden.device.type, enabled=False):  # bfloat16 would round a logit of 20 by 0.06
             weight = self.logit.weight[0]  # times a vector: the gradient of a layer of one value is slow on a CPU
             return hidden.to(weight.dtype) @ weight + self.logit.bias
 

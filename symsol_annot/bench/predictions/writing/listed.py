@@ -23,6 +23,7 @@ from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 
 Indices = npt.NDArray[np.int64]
+Around = Callable[[Callable[[int], Answer]], Callable[[int], Answer]]
 
 
 def write_claims(
@@ -34,6 +35,7 @@ def write_claims(
     method: str,
     level: int,
     resume: Resume,
+    around: Around = lambda answer: answer,
 ) -> None:
     """Write the track "classifier".
 
@@ -46,6 +48,7 @@ def write_claims(
         method: what the method calls itself.
         level: of the grid.
         resume: as `write_classifier` takes it.
+        around: is put around what answers about an image, to answer sooner.
 
     Raises:
         SettingsError, NotAnnotatedError, PredictionsError, OutputError: as by `write_classifier`.
@@ -63,7 +66,7 @@ def write_claims(
 
     attributes: dict[str, Any] = {"method": method, **classifier_attributes(dataset, DEFAULT_FLOOR, level, 1)}
     with held_predictions(path, dataset, CLASSIFIER, attributes, resume) as file:
-        file.write_answers(answer, resume=resume, progress=True)
+        file.write_answers(around(answer), resume=resume, progress=True)
 
 
 def write_cells(
@@ -75,6 +78,7 @@ def write_cells(
     floor: float,
     level: int,
     resume: Resume,
+    around: Around = lambda answer: answer,
 ) -> None:
     """Write the track "density".
 
@@ -86,6 +90,7 @@ def write_cells(
         floor: what a smaller probability of a cell is counted as, at most.
         level: of the grid.
         resume: as `write_density` takes it.
+        around: is put around what answers about an image, to answer sooner.
 
     Raises:
         SettingsError, NotAnnotatedError, PredictionsError, OutputError: as by `write_density`.
@@ -98,4 +103,4 @@ def write_cells(
 
     attributes: dict[str, Any] = {"method": method, **density_attributes(floor, level, 1)}
     with held_predictions(path, dataset, DENSITY, attributes, resume) as file:
-        file.write_answers(answer, resume=resume, progress=True)
+        file.write_answers(around(answer), resume=resume, progress=True)

@@ -3,6 +3,7 @@
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +76,15 @@ class PredictionsFile:
         answered = self._kept.answered()
         left = [i for i in range(images) if i not in answered]
         disable = None if progress else True
-        for i in tqdm(left, unit="image", total=images, initial=len(answered), disable=disable):
-            self._kept.write(i, ask(i))
+        with ThreadPoolExecutor(1) as keeper:  # deflates and writes an answer while the next one is worked out
+            kept: Future[None] | None = None
+            for i in tqdm(left, unit="image", total=images, initial=len(answered), disable=disable):
+                answer = ask(i)
+                if kept is not None:
+                    kept.result()
+                kept = keeper.submit(self._kept.write, i, answer)
+            if kept is not None:
+                kept.result()
         self.write(self._track.columns(self._kept))
 
     def write(self, columns: Mapping[str, Column]) -> None:

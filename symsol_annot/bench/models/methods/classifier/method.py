@@ -18,7 +18,7 @@ from symsol_annot.bench.models.loss_tables import CLASSIFICATION
 from symsol_annot.bench.models.methods.classifier.negatives import hard_negatives, near_negatives, random_rotations
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
 from symsol_annot.bench.models.methods.method import Asked
-from symsol_annot.bench.models.networks.answers import embeddings_of, logits_at
+from symsol_annot.bench.models.networks.answers import RotationScorer, embeddings_of
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.validation import Figures, classifier_figures
@@ -116,13 +116,13 @@ class ClassifierLearner:
         return {"logit_shift": best, "f_measure": found[best]["f_measure"]}
 
     @torch.no_grad()
-    def validation_logits(self, images: Tensor, labels: Labels) -> Iterator["_ValidationLogits"]:
+    def validation_logits(self, images: Tensor, labels: Labels) -> Iterator["ValidationLogits"]:
         """Give the logits of each image at its members, and on the grid."""
         grid, device = grid_index(), self.model.device
         radius = _NEAR_RAD if labels.circles is None else _NEAR_CIRCLE_RAD
         sample = np.random.default_rng(0).choice(len(grid), _FAR_SAMPLE, replace=False)
         shares = self.model.shares(torch.from_numpy(grid.rotations[sample]).float().to(device))
-        of_sets = counted(labels, STANDARD_LEVEL)
+        of_sets, scorer = counted(labels, STANDARD_LEVEL), RotationScorer(self.model)
         for i, embedding in enumerate(embeddings_of(self.model, images, _EVALUATED_AT_ONCE)):
             volume, members = labels.volume_of(i), labels.members(i)
             members = members[of_sets.is_counted[i][labels.symmetry_mask[i]]]
@@ -130,15 +130,15 @@ class ClassifierLearner:
             near = np.setdiff1d(grid.within(labels.candidates(i), radius), inside, assume_unique=True)
             is_far = torch.from_numpy(~np.isin(sample, near) & ~np.isin(sample, inside)).to(device)
             asked = (torch.from_numpy(R).float().to(device) for R in (members, grid.rotations[near]))
-            at_members, on_near = (logits_at(self.model, embedding, self.model.shares(R)) for R in asked)
-            on_sample = logits_at(self.model, embedding, shares)
+            at_members, on_near = (scorer.logits(embedding, self.model.shares(R)) for R in asked)
+            on_sample = scorer.logits(embedding, shares)
             on_far, on_inside = on_sample[is_far], on_sample[torch.from_numpy(np.isin(sample, inside)).to(device)]
             far_weight = (len(grid) - len(near) - len(inside)) / max(1, len(on_far))
-            yield _ValidationLogits(at_members, on_near, on_far, far_weight, on_inside, len(inside))
+            yield ValidationLogits(at_members, on_near, on_far, far_weight, on_inside, len(inside))
 
 
 @dataclass(frozen=True, eq=False)
-class _ValidationLogits:
+class ValidationLogits:
     """One image's logits: at its members, on all grid rotations near a candidate, and on a sample of the others.
 
     Attributes:
@@ -192,13 +192,14 @@ class ClassifierMethod:
     ) -> None:
         """Write the probabilities of queries and grid rotations for a split's images."""
         shift, size = asked.calibration.get("logit_shift", 0.0), grid_size(asked.level)
-        classify = _probabilities_by_index(model, dataset, asked.level, shift, asked.products)
+        scorer = RotationScorer(model, asked.products, is_compiled=asked.is_compiled)
+        classify = _probabilities_by_index(model, dataset, asked.level, shift, scorer)
         by, level, resume = asked.method, asked.level, asked.resume
         write_classifier(path, dataset, classify, method=by, level=level, batch_size=size, resume=resume)
 
 
 def _probabilities_by_index(
-    model: RotationClassifier, dataset: Dataset, level: int, shift: float, products: str
+    model: RotationClassifier, dataset: Dataset, level: int, shift: float, scorer: RotationScorer
 ) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
     """Return a callable from an image's index and rotations (n, 3, 3) to probabilities (n,).
 
@@ -222,7 +223,7 @@ def _probabilities_by_index(
 
     def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
         shares = shares_of_grid() if np.array_equal(R, grid) else shares_of(R)
-        logits = logits_at(model, embedding_of(i), shares, products) + shift
+        logits = scorer.logits(embedding_of(i), shares) + shift
         answers: npt.NDArray[np.float32] = logits.sigmoid().cpu().numpy()
         return answers
 

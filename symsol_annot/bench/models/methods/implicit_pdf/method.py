@@ -16,7 +16,7 @@ from symsol_annot.bench.models.methods.classifier.negatives import random_rotati
 from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRecipe
 from symsol_annot.bench.models.methods.method import Asked
-from symsol_annot.bench.models.networks.answers import embeddings_of, logits_at
+from symsol_annot.bench.models.networks.answers import RotationScorer, embeddings_of
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.validation import Figures
@@ -54,11 +54,11 @@ class ImplicitPdfLearner:
         """
         grid, device = equivolumetric_grid(_EVALUATION_LEVEL), self.model.device
         shares = self.model.shares(torch.from_numpy(grid).float().to(device))
-        found = []
+        scorer, found = RotationScorer(self.model), []
         for i, embedding in enumerate(embeddings_of(self.model, images[:_EVALUATED], _EMBEDDED_AT_ONCE)):
             R_gt = torch.from_numpy(labels.rotation[i : i + 1]).float().to(device)
-            at_gt = logits_at(self.model, embedding, self.model.shares(R_gt))
-            everywhere = torch.cat([logits_at(self.model, embedding, shares), at_gt])
+            at_gt = scorer.logits(embedding, self.model.shares(R_gt))
+            everywhere = torch.cat([scorer.logits(embedding, shares), at_gt])
             found.append(float(at_gt - torch.logsumexp(everywhere, 0)) + math.log(len(everywhere)))
         return {"log_likelihood_at_gt": float(np.mean(found)) - math.log(math.pi**2)}
 
@@ -91,14 +91,16 @@ class ImplicitPdfMethod:
     ) -> None:
         """Write the densities of a split's images on the grid."""
         level = asked.level
-        log_density = _log_densities_by_index(model, recipe, dataset, level, asked.products)
+        log_density = _log_densities_by_index(
+            model, recipe, dataset, level, RotationScorer(model, asked.products, is_compiled=asked.is_compiled)
+        )
         size = len(equivolumetric_grid(level))
         by, resume = asked.method, asked.resume
         write_density(path, dataset, log_density, method=by, floor=_FLOOR, level=level, batch_size=size, resume=resume)
 
 
 def _log_densities_by_index(
-    model: RotationClassifier, recipe: ImplicitPdfRecipe, dataset: Dataset, level: int, products: str
+    model: RotationClassifier, recipe: ImplicitPdfRecipe, dataset: Dataset, level: int, scorer: RotationScorer
 ) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
     """Return a callable from an image's index, and the whole grid, to logits (N,): log-densities up to a constant."""
     embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _EMBEDDED_AT_ONCE)
@@ -111,7 +113,7 @@ def _log_densities_by_index(
 
     def log_density(i: int, _: Rotations) -> npt.NDArray[np.float32]:
         embedding = embeddings_in(i // BLOCK)[i % BLOCK]
-        logits: npt.NDArray[np.float32] = logits_at(model, embedding, shares_of_grid(), products).cpu().numpy()
+        logits: npt.NDArray[np.float32] = scorer.logits(embedding, shares_of_grid()).cpu().numpy()
         return logits
 
     return log_density

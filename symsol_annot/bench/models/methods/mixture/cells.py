@@ -25,8 +25,11 @@ class Grid:
         self.rotations = torch.from_numpy(self.index.rotations).float()
         cell = (8.0 * np.pi**2 / grid_size(level)) ** (1.0 / 3.0)  # the side of a cube of a cell's volume, in rad
         self.blur_rad = cell / np.sqrt(12.0)  # the deviation of a uniform distribution on it, along a side
-        tilts = np.arange(6 * 2**level) * (2.0 * np.pi / (6 * 2**level))
-        self._cosines, self._sines = np.cos(tilts).astype(np.float32), np.sin(tilts).astype(np.float32)
+        self._tilts = 6 * 2**level
+        three_times_round = torch.arange(-self._tilts, 2 * self._tilts)
+        angle = three_times_round.double() * (2.0 * np.pi / self._tilts)
+        self._cosines, self._sines = angle.cos().float(), angle.sin().float()
+        self._starts = three_times_round % self._tilts * (len(self) // self._tilts)  # of a tilt's rotations
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -46,28 +49,32 @@ class Grid:
         c + a cos t + b sin t. The tilts at which that is above `log_least` are neighbours, and for most directions
         there are none; the shares elsewhere are left out.
         """
+        uniform = mixture.log_weights[0, -1].double().exp()
         if not mixture.components:
-            return np.full(len(self), float(mixture.log_weights[0, -1].exp()))
-        tilts = len(self._cosines)
+            return uniform.expand(len(self)).numpy()
+        tilts, steps_per_rad = self._tilts, self._tilts / (2.0 * np.pi)
         forms = mixture.along_third_axis(self.rotations[: len(self) // tilts])  # the directions, with the tilt 0
-        place = torch.nonzero((forms[2] + torch.hypot(forms[0], forms[1]) > log_least).flatten())[:, 0]
-        a, b, c = (form.flatten()[place].numpy() for form in forms)
-        reach = np.arccos(np.clip((log_least - c) / np.hypot(a, b), -1.0, 1.0)) * (tilts / (2.0 * np.pi))
-        middle = np.arctan2(b, a) * (tilts / (2.0 * np.pi))
-        first = np.ceil(middle - reach).astype(np.int64)
-        count = np.minimum(np.floor(middle + reach).astype(np.int64) - first + 1, tilts)
+        r = torch.hypot(forms[0], forms[1])
+        place = torch.nonzero((forms[2] + r > log_least).flatten())[:, 0]
+        a, b, c, r = (of_all.flatten()[place] for of_all in (*forms, r))
+        reach = torch.arccos(((log_least - c) / r).clamp(-1.0, 1.0)) * steps_per_rad
+        middle = torch.atan2(b, a) * steps_per_rad
+        first = torch.ceil(middle - reach).long()
+        count = (torch.floor(middle + reach).long() - first + 1).clamp(max=tilts)
 
-        direction, component = np.divmod(place.numpy(), mixture.components)
-        reached = np.bincount(component, weights=count, minlength=mixture.components)
+        direction = torch.div(place, mixture.components, rounding_mode="floor")
+        component = place - direction * mixture.components
+        reached = torch.bincount(component, count.double(), mixture.components)
         is_broad = reached > _BROAD * len(self)
-        found = mixture.chosen(torch.from_numpy(is_broad)).of_image(self.rotations).double().exp().numpy()
-        count[is_broad[component]] = 0
+        found = uniform.expand(len(self)).clone()
+        if is_broad.any():
+            found = mixture.chosen(is_broad).of_image(self.rotations).double().exp()
+            count[is_broad[component]] = 0
 
-        which = np.repeat(np.arange(len(count)), count)
-        tilt = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count - first, count)) % tilts
-        shares = np.exp(a[which] * self._cosines[tilt] + b[which] * self._sines[tilt] + c[which])
-        found += np.bincount(tilt * (len(self) // tilts) + direction[which], weights=shares, minlength=len(self))
-        return found
+        which = torch.repeat_interleave(count)
+        at = torch.arange(len(which)) + (first + tilts - torch.cumsum(count, 0) + count)[which]  # in what goes round
+        shares = torch.addcmul(torch.addcmul(c[which], a[which], self._cosines[at]), b[which], self._sines[at]).exp_()
+        return found.index_add_(0, self._starts[at] + direction[which], shares.double()).numpy()
 
 
 @lru_cache(maxsize=2)

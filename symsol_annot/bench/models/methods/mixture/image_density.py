@@ -20,8 +20,7 @@ from symsol_annot.rotations.grid import grid_size
 
 HYPOTHESES = 30
 LEAST_CELL = 1e-9  # of a cell's probability: less is not told apart, and a file of 5,000 images stays small
-_NEGLIGIBLE = 16.0  # a component's share of so much less, in logarithms, changes nothing that a file says
-_LOG_LEAST = float(np.log(LEAST_CELL * grid_size(4))) - _NEGLIGIBLE  # of a share: -24
+_NEGLIGIBLE = 5.0  # what all components' shares are less by, in logarithms, where they may be left out: under 0.7%
 _SAMPLES = 1024
 _LEAST_WEIGHT = 0.01  # of a component that is a hypothesis
 _SAME = 6  # decimals to which axes are compared
@@ -91,13 +90,15 @@ class PoseDensity(ImageDensity):
 
     def claimed_on(self, grid: Grid) -> tuple[Indices, Tensor]:
         """Return grid indices, and ln p - ln t there."""
-        p = grid.density(self.mixture, self.log_t - CLAIMED_FROM - _NEGLIGIBLE)
+        p = grid.density(self.mixture, _negligible(self.mixture, self.log_t - CLAIMED_FROM))
         near = np.flatnonzero(p > np.exp(self.log_t - CLAIMED_FROM))
         return near, torch.from_numpy(np.log(p[near]) - self.log_t).float()
 
     def on_cells(self, grid: Grid) -> Tensor:
         """Return ln p (N,) averaged over cells, nearly."""
-        return torch.from_numpy(np.log(grid.density(self.mixture.blurred(grid.blur_rad), _LOG_LEAST))).float()
+        blurred = self.mixture.blurred(grid.blur_rad)
+        p = grid.density(blurred, _negligible(blurred, float(np.log(LEAST_CELL * len(grid)))))
+        return torch.from_numpy(np.log(p)).float()
 
     def hypotheses(self) -> npt.NDArray[np.float64]:
         """Return the centres of the components that weigh more than 0.01, or half of the heaviest, heaviest first."""
@@ -105,6 +106,11 @@ class PoseDensity(ImageDensity):
         order = torch.argsort(weights, descending=True)
         kept = order[weights[order] > min(_LEAST_WEIGHT, float(weights.max()) / 2.0)]
         return self._told.centres[0, kept].double().numpy()
+
+
+def _negligible(mixture: PoseMixture, log_p: float) -> float:
+    """Return ln of the share of one component that does not count where p is at least so large."""
+    return log_p - float(np.log(max(1, mixture.components))) - _NEGLIGIBLE
 
 
 CLAIMED_FROM = float(np.log(4.0) + np.log(9.0))  # below, a claim is under the floor of 0.1 of what a file lists

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from symsol_annot.bench.models.methods.ahead import looking_ahead
 from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.methods.mixture.body import body_for
@@ -25,6 +26,7 @@ from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 
 _AT_ONCE = 256  # images embedded
+_DENSITIES_KEPT = 2**13  # of some 30 kB, from track to track
 
 Floats32 = npt.NDArray[np.float32]
 
@@ -67,9 +69,9 @@ class MixtureMethod:
             near, log_claim = density(i).claimed_on(grid)
             return near, _claimed(log_claim)
 
-        with torch.no_grad():
+        with torch.no_grad(), looking_ahead(len(dataset)) as ahead:
             write_hypotheses(path, dataset, lambda i: density(i).hypotheses(), method=by, resume=resume)
-            write_claims(path, dataset, at_queries, on_grid, method=by, level=asked.level, resume=resume)
+            write_claims(path, dataset, at_queries, on_grid, method=by, level=asked.level, resume=resume, around=ahead)
             write_cells(
                 path,
                 dataset,
@@ -78,6 +80,7 @@ class MixtureMethod:
                 floor=LEAST_CELL,
                 level=asked.level,
                 resume=resume,
+                around=ahead,
             )
 
 
@@ -95,11 +98,11 @@ def _densities_by_index(
 
     embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _AT_ONCE)
 
-    @lru_cache(maxsize=1)
+    @lru_cache(maxsize=2)
     def told_of(block: int) -> Told:
         return model.told(embeddings_in(block), is_directed=body.is_directed).cpu()
 
-    @lru_cache(maxsize=1)
+    @lru_cache(maxsize=_DENSITIES_KEPT)
     def density(i: int) -> ImageDensity:
         return densities.of_image(told_of(i // BLOCK).row(i % BLOCK), i)
 
