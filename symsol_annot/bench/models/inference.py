@@ -38,7 +38,7 @@ def predict(
         level: of the grid a classifier is asked on; only the standard one ranks.
         precision: of the matrix products that score rotations: "float32", "bfloat16", or "auto", bfloat16 on a CPU that
             computes in it. Kinds of models that score none compute in float32.
-        is_compiled: whether torch.compile makes it faster to score rotations, after a minute or so.
+        is_compiled: whether torch.compile works on what scores rotations, which makes bfloat16 faster.
 
     Returns:
         The names of the tracks.

@@ -36,9 +36,11 @@ def test_threads_share_no_products_and_keep_no_gradients():
     def answer(_):
         return {"threads": torch.get_num_threads(), "gradients": torch.is_grad_enabled()}
 
+    before = torch.get_num_threads()
     with looking_ahead(3) as ahead:
         assert ahead(answer)(0) == {"threads": 1, "gradients": False}
     assert torch.is_grad_enabled()
+    assert torch.get_num_threads() == before
 
 
 def test_an_error_comes_with_the_image_it_is_about():

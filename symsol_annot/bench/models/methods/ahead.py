@@ -19,20 +19,23 @@ def looking_ahead(images: int) -> Iterator[Callable[[Answers], Answers]]:
     not depend on it. The callable must not keep anything for the next image.
     """
     threads = torch.get_num_threads()
+
+    def ahead(answer: Answers) -> Answers:
+        begun: dict[int, Future[Answer]] = {}
+
+        def ask(i: int) -> Answer:
+            for j in range(i, min(i + threads + 1, images)):
+                if j not in begun:
+                    begun[j] = pool.submit(answer, j)
+            return begun.pop(i).result()
+
+        return ask
+
     with ThreadPoolExecutor(threads, initializer=_begin_thread) as pool:
-
-        def ahead(answer: Answers) -> Answers:
-            begun: dict[int, Future[Answer]] = {}
-
-            def ask(i: int) -> Answer:
-                for j in range(i, min(i + threads + 1, images)):
-                    if j not in begun:
-                        begun[j] = pool.submit(answer, j)
-                return begun.pop(i).result()
-
-            return ask
-
-        yield ahead
+        try:
+            yield ahead
+        finally:
+            torch.set_num_threads(threads)  # what a thread says of some libraries' holds for all
 
 
 def _begin_thread() -> None:

@@ -31,7 +31,7 @@ class Asked:
         resume: names the model: kept answers of another are refused.
         calibration: what was fitted on validation images, by names.
         products: the precision of the matrix products that score rotations, "float32" or "bfloat16".
-        is_compiled: whether torch.compile makes scoring rotations faster.
+        is_compiled: whether torch.compile works on what scores rotations.
     """
 
     method: str

@@ -41,7 +41,7 @@ class RotationScorer:
     Args:
         model: that is asked.
         products: the precision of its hidden layer's matrix product, "float32" or "bfloat16".
-        is_compiled: whether torch.compile makes it faster, after a minute or so.
+        is_compiled: whether torch.compile works on it first, for some seconds, which makes bfloat16 faster.
     """
 
     def __init__(self, model: RotationClassifier, products: str = "float32", *, is_compiled: bool = False) -> None:
