@@ -133,7 +133,7 @@ def test_training_has_products_in_16_bits_answers_and_figures_in_32(name, images
     assert layouts == {True}
     assert ("Conv2d", torch.bfloat16) in in_training
     assert ("Conv2d", torch.float32) not in in_training
-    whole = {"hypotheses": "HypothesisNetwork", "classifier": "_SecondStage"}[name]
+    whole = {"hypotheses": "HypothesisNetwork", "classifier": "SecondStage"}[name]
     answers = {"hypotheses": "Linear", "classifier": whole}[name]
     assert ("Linear", torch.bfloat16) in in_training
     assert (answers, torch.float32) in in_training
