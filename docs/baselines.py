@@ -207,11 +207,11 @@ def result(row: Row, digests: Mapping[str, str], earlier: Earlier) -> str:
     scored, predicted = read_note(row.note("score")), {name: read_note(row.note(f"{name}-predict")) for name in digests}
     made_by = (row.train_command, row.predict_command) if row.is_trained else (row.predict_command,)
     words = [command(name) for name in names for command in made_by]
-    before = [earlier.account["hardware"]] if kept else []
+    before, now = earlier.account["hardware"] if kept else "", hardware_in_words(records, predicted)
     head = {
         "title": row.title,
         "by": "symsol-annot",
-        "hardware": "; ".join(dict.fromkeys([*before, hardware_in_words(records, predicted)])),
+        "hardware": before if now in before else "; ".join(filter(None, [before, now])),
         **({"recipe": row.recipe} if row.is_trained else {}),
         "method": row.recipe,
         "input_px": input_px(records) if row.is_trained else retrieval.DEFAULT_SIZE,
