@@ -13,8 +13,8 @@ from made_sets import make_set
 
 from symsol_annot.bench.models import devices
 from symsol_annot.bench.models.inference import identity, predict
-from symsol_annot.bench.models.methods.classifier import method as classifier_method
 from symsol_annot.bench.models.methods.hypotheses import method as hypothesis_method
+from symsol_annot.bench.models.methods.logits import LogitsByIndex
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.training.checkpoints import Checkpoint, new_model
 from symsol_annot.bench.models.training.record import TrainingRecord
@@ -111,6 +111,15 @@ def test_a_model_of_another_object_or_size_is_refused(few_images, tmp_path):
     assert not (tmp_path / "preds.h5").exists()
 
 
+@pytest.mark.parametrize("recipe", ["small-classifier", "implicit-pdf"])
+def test_weights_that_are_of_no_use_are_refused(few_images, tmp_path, recipe):
+    given = checkpoint(recipe, size=(16, 16))
+    given.model.second_stage.hidden.weight.data[0, 0] = float("nan")
+    with pytest.raises(ModelError, match="image 0: the model's answers are not finite"):
+        predict(given, few_images, tmp_path / "preds.h5", CPU, level=0)
+    assert not (tmp_path / "preds.h5").exists()
+
+
 def test_a_gpu_that_is_too_small_takes_fewer_images_at_once(few_images, tmp_path, monkeypatch):
     tried, run = [], hypothesis_method.all_hypotheses
 
@@ -136,21 +145,23 @@ every_track = pytest.mark.parametrize("track", MODELS)
 
 def stop(monkeypatch, given, images, path, **options):
     """Predict, and be interrupted at the fourth image."""
-    module, asked = {
-        "small-wta": (hypothesis_method, "all_hypotheses"),
-        "small-classifier": (classifier_method, "embeddings_of"),
-    }[given.record.name]
-    run, calls = getattr(module, asked), []
+    hypotheses, on_grid, calls = hypothesis_method.all_hypotheses, LogitsByIndex.on_grid, []
 
-    def interrupted(*arguments):
+    def interrupted_hypotheses(*arguments):
         calls.append(1)
         if len(calls) == 4:
             raise KeyboardInterrupt
-        return run(*arguments)
+        return hypotheses(*arguments)
+
+    def interrupted_on_grid(logits, i):
+        if i == 3:
+            raise KeyboardInterrupt
+        return on_grid(logits, i)
 
     with monkeypatch.context() as patch:
         patch.setattr(hypothesis_method, "_BLOCK", 1)
-        patch.setattr(module, asked, interrupted)
+        patch.setattr(hypothesis_method, "all_hypotheses", interrupted_hypotheses)
+        patch.setattr(LogitsByIndex, "on_grid", interrupted_on_grid)
         with pytest.raises(KeyboardInterrupt):
             predict(given, images, path, CPU, level=0, **options)
 

@@ -16,7 +16,7 @@ BLOCK = 512  # images decoded at once
 def embedded_blocks(
     model: ReferenceModel, dataset: Dataset, input_size: int, batch_size: int
 ) -> Callable[[int], Tensor]:
-    """Return a callable from a block's number to the embeddings (b, E) of its 512 images; it keeps the last one.
+    """Return a callable from a block's number to the embeddings (b, E) of its 512 images; it keeps the last two.
 
     Args:
         model: that embeds them.
@@ -25,7 +25,7 @@ def embedded_blocks(
         batch_size: how many are embedded at once.
     """
 
-    @lru_cache(maxsize=1)
+    @lru_cache(maxsize=2)  # threads that look ahead are in two at once, where one block ends
     def embeddings_in(block: int) -> Tensor:
         images = decode_images(dataset[block * BLOCK : (block + 1) * BLOCK], input_size).images
         return embeddings_of(model, images, batch_size)

@@ -1,9 +1,8 @@
 """A classifier of rotations: how it learns from right and wrong ones, and how it is asked for predictions."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +14,10 @@ from torch.nn import functional
 from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.devices import training_precision
 from symsol_annot.bench.models.loss_tables import CLASSIFICATION
+from symsol_annot.bench.models.methods.ahead import looking_ahead
 from symsol_annot.bench.models.methods.classifier.negatives import hard_negatives, near_negatives, random_rotations
 from symsol_annot.bench.models.methods.classifier.recipe import ClassifierRecipe
+from symsol_annot.bench.models.methods.logits import LogitsByIndex
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.networks.answers import RotationScorer, embeddings_of
 from symsol_annot.bench.models.networks.backbones import BACKBONES
@@ -24,8 +25,9 @@ from symsol_annot.bench.models.networks.rotation_classifier import RotationClass
 from symsol_annot.bench.models.validation import Figures, classifier_figures
 from symsol_annot.bench.predictions.counted import counted, grid_inside
 from symsol_annot.bench.predictions.format import STANDARD_THRESHOLD
-from symsol_annot.bench.predictions.writing.submission import write_classifier
-from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_index, grid_size
+from symsol_annot.bench.predictions.tracks.classifier import DEFAULT_FLOOR
+from symsol_annot.bench.predictions.writing.listed import write_claims
+from symsol_annot.rotations.grid import STANDARD_LEVEL, equivolumetric_grid, grid_index
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 from symsol_annot.sets.shard.labels import Labels
@@ -34,7 +36,6 @@ _EVALUATED_AT_ONCE = 64  # images
 _CLAIM_LOGIT = float(np.log(STANDARD_THRESHOLD / (1.0 - STANDARD_THRESHOLD)))
 _SHIFTS = np.linspace(-8.0, 8.0, 65)
 _NOWHERE = np.zeros(0, dtype=np.int64)
-_SHARES_AT_ONCE = 2**15  # rotations
 _NEAR_RAD, _NEAR_CIRCLE_RAD, _FAR_SAMPLE = np.radians(15.0), np.radians(6.0), 8192
 
 
@@ -183,51 +184,28 @@ class ClassifierMethod:
         return ClassifierLearner(recipe, model, symmetry_group)
 
     def write_predictions(
-        self,
-        model: RotationClassifier,
-        recipe: ClassifierRecipe,  # noqa: ARG002
-        dataset: Dataset,
-        path: Path,
-        asked: Asked,
+        self, model: RotationClassifier, recipe: ClassifierRecipe, dataset: Dataset, path: Path, asked: Asked
     ) -> None:
         """Write the probabilities of queries and grid rotations for a split's images."""
-        shift, size = asked.calibration.get("logit_shift", 0.0), grid_size(asked.level)
-        scorer = RotationScorer(model, asked.products, is_compiled=asked.is_compiled)
-        classify = _probabilities_by_index(model, dataset, asked.level, shift, scorer)
+        shift, grid = asked.calibration.get("logit_shift", 0.0), equivolumetric_grid(asked.level)
+        logits_of = LogitsByIndex(model, recipe.input_size, dataset, grid, asked)
+
+        def at_queries(i: int, R: Rotations) -> npt.NDArray[np.float32]:
+            return _probabilities(logits_of.at(i, R) + shift)
+
+        def on_grid(i: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:
+            found = _probabilities(logits_of.on_grid(i) + shift)
+            listed = np.flatnonzero(found > np.float32(DEFAULT_FLOOR))
+            return listed, found[listed]
+
         by, level, resume = asked.method, asked.level, asked.resume
-        write_classifier(path, dataset, classify, method=by, level=level, batch_size=size, resume=resume)
+        with looking_ahead(len(dataset)) as ahead:
+            write_claims(path, dataset, at_queries, on_grid, method=by, level=level, resume=resume, around=ahead)
 
 
-def _probabilities_by_index(
-    model: RotationClassifier, dataset: Dataset, level: int, shift: float, scorer: RotationScorer
-) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
-    """Return a callable from an image's index and rotations (n, 3, 3) to probabilities (n,).
-
-    What the grid's rotations bring to the second stage is worked out once for all images.
-    """
-
-    @lru_cache(maxsize=1)
-    def embedding_of(i: int) -> Tensor:
-        return embeddings_of(model, torch.from_numpy(dataset[i].image)[None], 1)[0]
-
-    @torch.no_grad()
-    def shares_of(R: Rotations) -> Tensor:
-        parts = torch.split(torch.from_numpy(R.astype(np.float32)).to(model.device), _SHARES_AT_ONCE)
-        return torch.cat([model.shares(part) for part in parts])
-
-    grid = equivolumetric_grid(level)
-
-    @lru_cache(maxsize=1)
-    def shares_of_grid() -> Tensor:
-        return shares_of(grid)
-
-    def classify(i: int, R: Rotations) -> npt.NDArray[np.float32]:
-        shares = shares_of_grid() if np.array_equal(R, grid) else shares_of(R)
-        logits = scorer.logits(embedding_of(i), shares) + shift
-        answers: npt.NDArray[np.float32] = logits.sigmoid().cpu().numpy()
-        return answers
-
-    return classify
+def _probabilities(logits: Tensor) -> npt.NDArray[np.float32]:
+    found: npt.NDArray[np.float32] = logits.sigmoid().cpu().numpy()
+    return found
 
 
 METHOD = ClassifierMethod()

@@ -1,26 +1,24 @@
 """Implicit-PDF: how it is learnt, and how it is asked for densities (Murphy et al., ICML 2021)."""
 
 import math
-from collections.abc import Callable
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.devices import training_precision
+from symsol_annot.bench.models.methods.ahead import looking_ahead
 from symsol_annot.bench.models.methods.classifier.negatives import random_rotations
-from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.implicit_pdf.recipe import ImplicitPdfRecipe
+from symsol_annot.bench.models.methods.logits import LogitsByIndex
 from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.networks.answers import RotationScorer, embeddings_of
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.rotation_classifier import RotationClassifier
 from symsol_annot.bench.models.validation import Figures
-from symsol_annot.bench.predictions.writing.submission import write_density
+from symsol_annot.bench.predictions.writing.listed import write_cells
 from symsol_annot.rotations.grid import equivolumetric_grid
 from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
@@ -28,7 +26,6 @@ from symsol_annot.sets.shard.labels import Labels
 
 _EVALUATED, _EVALUATION_LEVEL = 128, 3  # images, level of the grid: of a softmax that R_gt is added to
 _EMBEDDED_AT_ONCE = 64  # images
-_SHARES_AT_ONCE = 2**15  # rotations
 _FLOOR = 1e-9  # of a cell's probability: a file of 5,000 images stays small
 
 
@@ -91,32 +88,19 @@ class ImplicitPdfMethod:
     ) -> None:
         """Write the densities of a split's images on the grid."""
         level = asked.level
-        log_density = _log_densities_by_index(
-            model, recipe, dataset, level, RotationScorer(model, asked.products, is_compiled=asked.is_compiled)
-        )
-        size = len(equivolumetric_grid(level))
+        logits_of = LogitsByIndex(model, recipe.input_size, dataset, equivolumetric_grid(level), asked)
         by, resume = asked.method, asked.resume
-        write_density(path, dataset, log_density, method=by, floor=_FLOOR, level=level, batch_size=size, resume=resume)
-
-
-def _log_densities_by_index(
-    model: RotationClassifier, recipe: ImplicitPdfRecipe, dataset: Dataset, level: int, scorer: RotationScorer
-) -> Callable[[int, Rotations], npt.NDArray[np.float32]]:
-    """Return a callable from an image's index, and the whole grid, to logits (N,): log-densities up to a constant."""
-    embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _EMBEDDED_AT_ONCE)
-
-    @lru_cache(maxsize=1)
-    @torch.no_grad()
-    def shares_of_grid() -> Tensor:
-        grid = torch.from_numpy(equivolumetric_grid(level)).float().to(model.device)
-        return torch.cat([model.shares(part) for part in torch.split(grid, _SHARES_AT_ONCE)])
-
-    def log_density(i: int, _: Rotations) -> npt.NDArray[np.float32]:
-        embedding = embeddings_in(i // BLOCK)[i % BLOCK]
-        logits: npt.NDArray[np.float32] = scorer.logits(embedding, shares_of_grid()).cpu().numpy()
-        return logits
-
-    return log_density
+        with looking_ahead(len(dataset)) as ahead:
+            write_cells(
+                path,
+                dataset,
+                lambda i: logits_of.on_grid(i).double().cpu().numpy(),
+                method=by,
+                floor=_FLOOR,
+                level=level,
+                resume=resume,
+                around=ahead,
+            )
 
 
 METHOD = ImplicitPdfMethod()
