@@ -16,6 +16,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from written_tables import put_table
+
 from symsol_annot.bench.models.recipe import recipe_from_toml
 from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE, read_record
 from symsol_annot.errors import SymsolError, WeightsError
@@ -24,7 +26,6 @@ from symsol_annot.system.files import write_atomically
 PROJECT = Path(__file__).resolve().parents[1]
 RESULTS = PROJECT / "docs" / "results" / "effects.json"
 PAGE = PROJECT / "docs" / "training.md"
-BEGIN, END = "<!-- written by docs/effects.py -->", "<!-- to here -->"
 MEANS: Mapping[str, Any] = {
     "start": "random",
     "batch_size": 64,
@@ -191,14 +192,8 @@ def table() -> str:
 
 
 def write_table() -> None:
-    """Put the table in its place on the page, between two comments."""
-    text = PAGE.read_text()
-    if BEGIN not in text:
-        print(f"{PAGE} has no line {BEGIN}; the table is:\n\n{table()}")
-        return
-    before, rest = text.split(BEGIN)
-    after = rest.split(END)[1]
-    PAGE.write_text(f"{before}{BEGIN}\n{table()}{END}{after}")
+    """Put the table in its place on the page."""
+    put_table(PAGE, Path(__file__).name, table())
 
 
 if __name__ == "__main__":

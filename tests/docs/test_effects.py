@@ -5,6 +5,7 @@ import json
 import effects
 import pytest
 from made_sets import make_set
+from written_tables import END, beginning
 
 from symsol_annot.bench.models.recipe import parse_recipe
 from symsol_annot.errors import WeightsError
@@ -20,7 +21,7 @@ def images(tmp_path_factory):
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     """A page and a file of results to write to."""
-    (tmp_path / "page.md").write_text(f"before\n{effects.BEGIN}\nold\n{effects.END}\nafter\n")
+    (tmp_path / "page.md").write_text(f"before\n{beginning('effects.py')}\nold\n{END}\nafter\n")
     monkeypatch.setattr(effects, "PAGE", tmp_path / "page.md")
     monkeypatch.setattr(effects, "RESULTS", tmp_path / "effects.json")
     return tmp_path

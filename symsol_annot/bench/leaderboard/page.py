@@ -115,10 +115,11 @@ def to_markdown(board: Leaderboard, folder: str, link: str, page: str) -> str:
         page: the page's own path.
     """
     signs = {mark.name.lower(): mark.value for mark in Mark}
+    tables = {name: tables_of(board, name) for name in board.sets}
     parts = [_HEAD.format(folder=folder)]
     for name in board.sets:
-        parts += _of_set(board, name, link)
-    parts += [_HOW_TO_READ.format(**signs), *beside_the_thesis(board)]
+        parts += _of_set(board, name, tables[name], link)
+    parts += [_HOW_TO_READ.format(**signs), *beside_the_thesis(board, tables)]
     parts += [
         "## How the results were made",
         *accounts(board, link),
@@ -127,7 +128,7 @@ def to_markdown(board: Leaderboard, folder: str, link: str, page: str) -> str:
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
-def _of_set(board: Leaderboard, folder: str, link: str) -> Iterator[str]:
+def _of_set(board: Leaderboard, folder: str, tables: Sequence[Table], link: str) -> Iterator[str]:
     """Yield a set's section: what it is, and of each track a picture and a table for each object, the best first."""
     image_set = board.sets[folder]
     yield f"## {escaped(image_set.title)}"
@@ -135,7 +136,6 @@ def _of_set(board: Leaderboard, folder: str, link: str) -> Iterator[str]:
     yield fenced("\n".join(image_set.commands), "sh")
     if not board.results[folder]:
         yield "Nobody has sent in a result on this set yet; the rows are references."
-    tables = tables_of(board, folder)
     for track in dict.fromkeys(table.track for table in tables):
         alike = [table for table in tables if table.track == track]
         if any(table.has_results for table in alike):

@@ -4,21 +4,31 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from symsol_annot.bench.leaderboard.entries import Leaderboard, Result, ThesisTable
-from symsol_annot.bench.leaderboard.rows import COUNT
+from symsol_annot.bench.leaderboard.rows import COUNT, Row, Table
 from symsol_annot.bench.models.methods.hypotheses.recipe import HypothesisRecipe
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.system.text.markdown import escaped, tabled
 
+_ABOUT_FIRST_ROWS = """\
+A table's last row has, object by object, this figure of the method that ranks first above, whatever it was told."""
 
-def beside_the_thesis(board: Leaderboard) -> Iterator[str]:
-    """Yield the thesis's tables, with what was measured here below the row it stands for."""
+
+def beside_the_thesis(board: Leaderboard, tables: Mapping[str, Sequence[Table]]) -> Iterator[str]:
+    """Yield the thesis's tables, with what was measured here below the row it stands for, and the first of each object.
+
+    Args:
+        board: what it shows.
+        tables: the tables of each set's folder.
+    """
     yield "## Beside the thesis"
     yield board.thesis.notes.strip()
+    if any(table.ranked for of_set in tables.values() for table in of_set):
+        yield _ABOUT_FIRST_ROWS
     for title, table in board.thesis.tables.items():
         runs = {recipe: _standing_for(recipe, board) for recipe in table.rows}
         yield f"### {escaped(title)}"
-        yield tabled(_thesis_rows(table, runs))
+        yield tabled([*_thesis_rows(table, runs), *_first_rows(board, tables, table)])
         absent = [f"`{recipe}`" for recipe, found in runs.items() if not found]
         if absent:
             yield f"Not run here: {', '.join(absent) if len(absent) < len(runs) else 'all of these'}."
@@ -46,6 +56,29 @@ def _thesis_rows(table: ThesisTable, runs: Mapping[str, Sequence[tuple[str, Resu
         for folder, result in runs[recipe]:
             here = f"here, {escaped(f'{folder}/{result.name}')}{_counts(result, table)}"
             yield [f"`{result.account.recipe}`", here, *(_measured(result, o, table) for o in table.objects)]
+
+
+def _first_rows(
+    board: Leaderboard, tables: Mapping[str, Sequence[Table]], of_thesis: ThesisTable
+) -> Iterator[Sequence[str]]:
+    """Yield a row for each set: what the first of an object's ranking has in the thesis's figure, and which that is."""
+    for folder, of_set in tables.items():
+        first = {table.object: table.ranked[0] for table in of_set if table.track == of_thesis.track and table.ranked}
+        if any(name in first for name in of_thesis.objects):
+            cells = (
+                _of_first(first[name], name, board.results[folder], of_thesis) if name in first else ""
+                for name in of_thesis.objects
+            )
+            yield ["first in rank", f"here, {escaped(folder)}", *cells]
+
+
+def _of_first(row: Row, name: str, results: Sequence[Result], table: ThesisTable) -> str:
+    """Return a row's figure of an object, the mean over its seeds, above the row's name."""
+    every = [
+        result.scores[name][table.track]["all"][table.metric]["value"] for result in results if result.name in row.names
+    ]
+    known = [value for value in every if value is not None]
+    return f"**{sum(known) / len(known):.3f}**<br>{escaped(row.name)}" if known else ""
 
 
 def _counts(result: Result, table: ThesisTable) -> str:
