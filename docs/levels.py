@@ -1,0 +1,108 @@
+"""Scores densities on the grids of levels 4 and 5: .venv/bin/python docs/levels.py FOLDER [--object NAME].
+
+FOLDER is a working folder of docs/baselines.py: mixtures are asked that are in its `runs`, and retrieval searches the
+train images of its `data`. The images are the first 500 of each published test split, rendered into FOLDER/first.
+docs/results/levels.json keeps the figures, by object, method and level; the table of docs/symsol.md is written from
+that file. Whatever is predicted already is not predicted again.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from written_tables import put_table
+
+from symsol_annot.bench.scoring.reports.scores_file import read_scores
+from symsol_annot.errors import SymsolError
+from symsol_annot.system.files import write_atomically
+
+PROJECT = Path(__file__).resolve().parents[1]
+RESULTS = PROJECT / "docs" / "results" / "levels.json"
+PAGE = PROJECT / "docs" / "symsol.md"
+LEVELS = (4, 5)
+IMAGES = 500
+METHODS = ("mixture", "retrieval")
+FIGURES = ("log_likelihood_at_gt", "log_likelihood_at_gt_ceiling", "log_likelihood", "log_likelihood_ceiling")
+
+
+def main() -> None:
+    """Predict and score at both levels, and write file and table after each object."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--object", action="append", required=True, help="may be repeated")
+    options = parser.parse_args()
+    try:
+        for name in options.object:
+            keep(name, measured(options.folder.resolve(), name))
+            put_table(PAGE, Path(__file__).name, table())
+    except SymsolError as error:
+        sys.exit(f"Error: {error}")
+    except subprocess.CalledProcessError as error:
+        sys.exit(error.returncode)
+
+
+def measured(folder: Path, name: str) -> dict[str, dict[str, Any]]:
+    """Return the figures of an object, by method and level; of methods that the folder has."""
+    first = folder / "first"
+    first.mkdir(exist_ok=True)
+    run(first, f"render --object {name} --train 0 --test {IMAGES}")
+    asking = {
+        "mixture": f"predict {folder}/runs/{name}-mixture",
+        "retrieval": f"retrieve data/{name} --views {folder}/data/{name}",
+    }
+    if not (folder / "runs" / f"{name}-mixture").is_dir():
+        del asking["mixture"]
+    found: dict[str, dict[str, Any]] = {}
+    for method, words in asking.items():
+        for level in LEVELS:
+            file = f"{name}-{method}-{level}"
+            if not (first / f"{file}.h5").is_file():
+                run(first, f"{words} --level {level} --out {file}.h5")
+            run(first, f"score {file}.h5 --json {file}.json.gz")
+            scores = read_scores(first / f"{file}.json.gz")["objects"][name]["density"]["all"]
+            found.setdefault(method, {})[str(level)] = {figure: scores[figure] for figure in FIGURES}
+    return found
+
+
+def run(folder: Path, words: str) -> None:
+    """Run a command of symsol-annot in a folder, and show it."""
+    print("$ symsol-annot", words, flush=True)
+    subprocess.run([Path(sys.executable).with_name("symsol-annot"), *words.split()], cwd=folder, check=True)
+
+
+def keep(name: str, found: Mapping[str, Any]) -> None:
+    """Put an object's figures into the file of results, beside those of other objects and methods."""
+    known = known_results()
+    known[name] = {**known.get(name, {}), **found}
+    write_atomically(RESULTS, (json.dumps(dict(sorted(known.items())), indent=1) + "\n").encode())
+
+
+def known_results() -> dict[str, dict[str, Any]]:
+    """Return what the file of results has."""
+    known: dict[str, dict[str, Any]] = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
+    return known
+
+
+def table() -> str:
+    """Return the table of the results as Markdown."""
+    columns = [f"level {level}: {what}" for level in LEVELS for what in ("at R_gt", "ceiling", "on the set", "ceiling")]
+    lines = [f"| | {' | '.join(columns)} |", "|---|" + "---|" * len(columns)]
+    for name, by_method in known_results().items():
+        for method, by_level in by_method.items():
+            cells = [_cell(by_level[str(level)][figure]) for level in LEVELS for figure in FIGURES]
+            lines.append(f"| {name}, {method} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(figure: Mapping[str, Any]) -> str:
+    value, low, high = figure["value"], figure["low"], figure["high"]
+    is_same = f"{low:.3f}" == f"{high:.3f}"  # a ceiling of an unmarked body
+    return f"{value:.3f}" if is_same else f"{value:.3f}<br>[{low:.3f}, {high:.3f}]"
+
+
+if __name__ == "__main__":
+    main()
