@@ -116,10 +116,10 @@ def share_in_regions(of_members: Ratios, listed: Ratios, size: int, masses: Rati
     others = size - len(listed)
     left = max(0.0, 1.0 - float(listed.sum())) if others else 0.0
     of_other = left / others if others else 0.0
-    ascending = np.sort(listed)
-    below = np.concatenate([[0.0], np.cumsum(ascending)])
     p = np.where(of_members < 0.0, of_other, of_members)
     least, most = p * (1.0 - _AS_PROBABLE), p * (1.0 + _AS_PROBABLE)
+    ascending = np.sort(listed[listed >= least.min()])  # no other cell is in a region with a member
+    below = np.concatenate([[0.0], np.cumsum(ascending)])
     first, last = np.searchsorted(ascending, least, side="left"), np.searchsorted(ascending, most, side="right")
     denser = below[-1] - below[last] + np.where(of_other > most, left, 0.0)
     alike = below[last] - below[first] + np.where((of_other >= least) & (of_other <= most), left, 0.0)
