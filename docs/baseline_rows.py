@@ -19,6 +19,7 @@ from symsol_annot.system.reading import file_sha256
 BOARD = Path(__file__).resolve().parent / "results" / "leaderboard"
 TIERS = {"small": "small", "published": "data"}  # to the folders of their sets, as the commands of its set.toml have it
 MARKED = ("tetX", "cylO")
+COMPILED = ("classifier", "implicit-pdf")  # models that torch.compile makes faster
 ONE_OBJECT = {  # rows of one object alone
     **dict.fromkeys(("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer"), "tetX"),
     **dict.fromkeys(("volume-classifier", "volume-classifier-outside", "volume-classifier-unweighted"), "sphereX"),
@@ -106,7 +107,8 @@ class Row:
         """Return the words that predict an object's test images."""
         run = f"{name}-{self.name}"
         kind = kind_of(load_recipe(self.recipe).for_object(name, has_marking=False))
-        asked = ["--precision", "auto", "--compile"] if kind.scores_rotations and self.tier == "published" else []
+        asked = ["--precision", "auto"] if kind.scores_rotations and self.tier == "published" else []
+        asked += ["--compile"] if asked and kind.name in COMPILED else []
         return ["symsol-annot", "predict", f"runs/{run}", "--data", self.data, "--out", f"{run}.h5", *asked]
 
     def score_command(self, names: list[str]) -> list[str]:

@@ -25,7 +25,7 @@ class ModelKind:
         tracks: of its predictions.
         best_by: the metric by which the best epoch is chosen.
         module: has METHOD; by its name, as recipes are read without torch.
-        scores_rotations: whether it is asked by scoring each rotation of the grid with a network.
+        scores_rotations: whether rotations go through a network when it is asked, which is what takes the time.
     """
 
     name: str
@@ -88,6 +88,7 @@ MODEL_KINDS = {
             tracks=("hypotheses", "density"),
             best_by="recall_mean_error_rad",
             module=f"{_METHODS}.diffusion.method",
+            scores_rotations=True,
         ),
     )
 }

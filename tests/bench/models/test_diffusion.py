@@ -11,7 +11,7 @@ from tiny_training import DIFFUSION
 
 from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.inference import predict
-from symsol_annot.bench.models.methods.diffusion import heat_kernel
+from symsol_annot.bench.models.methods.diffusion import heat_kernel, method
 from symsol_annot.bench.models.methods.diffusion.heat_kernel import HeatKernel, kernel, slope
 from symsol_annot.bench.models.methods.diffusion.method import (
     METHOD,
@@ -110,9 +110,12 @@ class _KnownScore:
         return (s * (weights * slopes)[..., None] * directions).sum(2).float()
 
 
-def test_samples_of_a_known_score_are_members_all_alike():
+@pytest.mark.parametrize("products", ["float32", "bfloat16"])
+def test_samples_of_a_known_score_are_members_all_alike(products):
     members = torch.from_numpy(dihedral_group(3)).float()
-    drawn = reverse_walk(_KnownScore(members), torch.zeros(4, 1), 300, 40, torch.Generator().manual_seed(0))
+    drawn = reverse_walk(_KnownScore(members), torch.zeros(4, 1), 300, 40, torch.Generator().manual_seed(0), products)
+    assert drawn.dtype == torch.float32
+    torch.testing.assert_close(drawn @ drawn.mT, torch.eye(3).expand(drawn.shape), atol=1e-4, rtol=0.0)
     cosines = (torch.einsum("bnij,kij->bnk", drawn, members) - 1.0) / 2.0
     nearest = cosines.max(-1)
     assert float(nearest.values.clamp(max=1.0).acos().quantile(0.99)) < 0.05
@@ -126,6 +129,14 @@ def test_smoothed_samples_are_a_density():
     p = smoothed_samples(samples, 0.2, 0.1).log_density(anywhere)[0].exp()
     assert float(p.mean()) == pytest.approx(1.0, abs=0.03)
     assert float(p.min()) == pytest.approx(0.1, abs=1e-3)
+
+
+def test_samples_are_drawn_once_for_both_tracks(trained, data, tmp_path, monkeypatch):
+    drawn, draw = [], method._drawn
+    monkeypatch.setattr(method, "_drawn", lambda *given: (drawn.append(len(given[1])), draw(*given))[1])
+    with load(data / "tetX") as test:
+        predict(open_checkpoint(trained["diffusion"]), test, tmp_path / "preds.h5", torch.device("cpu"), level=0)
+        assert sum(drawn) == len(test)
 
 
 def test_a_checkpoint_answers_with_its_samples_and_their_density(trained, data, tmp_path):

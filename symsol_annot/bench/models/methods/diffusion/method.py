@@ -18,6 +18,7 @@ from torch import Tensor
 
 from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.devices import training_precision
+from symsol_annot.bench.models.methods.ahead import looking_ahead
 from symsol_annot.bench.models.methods.classifier.negatives import random_rotations
 from symsol_annot.bench.models.methods.diffusion.heat_kernel import LEAST_RAD, MOST_RAD, HeatKernel
 from symsol_annot.bench.models.methods.diffusion.recipe import DiffusionRecipe
@@ -26,10 +27,11 @@ from symsol_annot.bench.models.methods.method import Asked
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
 from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, PoseDensity
-from symsol_annot.bench.models.networks.answers import embeddings_of
+from symsol_annot.bench.models.networks.answers import embeddings_of, matrix_products
 from symsol_annot.bench.models.networks.backbones import BACKBONES
 from symsol_annot.bench.models.networks.mixtures import PoseMixture
 from symsol_annot.bench.models.networks.score_network import ScoreNetwork
+from symsol_annot.bench.models.recipe_keys import FLOAT32
 from symsol_annot.bench.models.validation import Figures, hypothesis_figures
 from symsol_annot.bench.predictions.writing.listed import write_cells
 from symsol_annot.bench.predictions.writing.submission import write_hypotheses
@@ -40,6 +42,7 @@ from symsol_annot.sets.shard.labels import Labels
 HYPOTHESES = 30
 _EVALUATED, _CALIBRATED = 128, 256  # images
 _EMBEDDED_AT_ONCE, _SAMPLED_AT_ONCE = 64, 16  # images
+_SAMPLES_KEPT = 2**13 // _SAMPLED_AT_ONCE  # of some 150 kB for 16 images, from track to track
 _DEVIATIONS_RAD, _UNIFORM_SHARES = np.geomspace(0.01, 0.5, 16), (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 
 
@@ -99,25 +102,28 @@ def smoothed_samples(samples: Tensor, deviation_rad: float, uniform_share: float
 
 @torch.no_grad()
 def _drawn(
-    model: ScoreNetwork, embeddings: Tensor, count: int, steps: int, rng: torch.Generator
+    model: ScoreNetwork, embeddings: Tensor, count: int, steps: int, rng: torch.Generator, products: str = FLOAT32
 ) -> Iterator[npt.NDArray[np.float64]]:
     """Give rotations (b, count, 3, 3), a few images at once, of embeddings (B, E)."""
     for part in torch.split(embeddings, _SAMPLED_AT_ONCE):
-        yield reverse_walk(model, part, count, steps, rng).cpu().double().numpy()
+        yield reverse_walk(model, part, count, steps, rng, products).cpu().double().numpy()
 
 
 @torch.no_grad()
-def reverse_walk(model: ScoreNetwork, embeddings: Tensor, count: int, steps: int, rng: torch.Generator) -> Tensor:
+def reverse_walk(
+    model: ScoreNetwork, embeddings: Tensor, count: int, steps: int, rng: torch.Generator, products: str = FLOAT32
+) -> Tensor:
     """Return rotations (B, count, 3, 3) of embedded images (B, E), drawn from uniform ones by ancestral sampling.
 
     A step from the deviation s to the smaller t turns R by the score times (s^2 - t^2), and puts on noise of the
-    deviation t sqrt(1 - t^2 / s^2); the last takes what noise is left.
+    deviation t sqrt(1 - t^2 / s^2); the last takes what noise is left. The score's layers multiply in `products`.
     """
     R = random_rotations((len(embeddings), count), rng)
     sigmas = np.geomspace(MOST_RAD, LEAST_RAD, steps)
     for sigma, following in zip(sigmas, [*sigmas[1:], 0.0], strict=True):
-        told = model.scores(embeddings, R, torch.full(R.shape[:2], float(sigma), device=R.device)) / float(sigma)
-        turn = told * float(sigma**2 - following**2)
+        with matrix_products(R.device, products):
+            told = model.scores(embeddings, R, torch.full(R.shape[:2], float(sigma), device=R.device))
+        turn = told.to(R.dtype) * float((sigma**2 - following**2) / sigma)
         noise = torch.randn(turn.shape, generator=rng, device=R.device)
         R = R @ roma.rotvec_to_rotmat(turn + float(following * np.sqrt(1.0 - (following / sigma) ** 2)) * noise)
     return R
@@ -146,7 +152,7 @@ class DiffusionMethod:
         self, model: ScoreNetwork, recipe: DiffusionRecipe, dataset: Dataset, path: Path, asked: Asked
     ) -> None:
         """Write samples as hypotheses, and their smoothed density on the grid."""
-        samples, calibration = _samples_by_index(model, recipe, dataset), asked.calibration
+        samples, calibration = _samples_by_index(model, recipe, dataset, asked.products), asked.calibration
         deviation, share = calibration.get("deviation_rad", 0.05), calibration.get("uniform_share", 0.03)
         grid, by, resume = grid_of(asked.level), asked.method, asked.resume
 
@@ -156,23 +162,25 @@ class DiffusionMethod:
             log_p: npt.NDArray[np.float64] = density.on_cells(grid).double().numpy()
             return log_p
 
-        with torch.no_grad():
+        with torch.no_grad(), looking_ahead(len(dataset)) as ahead:
             write_hypotheses(path, dataset, lambda i: samples(i)[:HYPOTHESES], method=by, resume=resume)
-            write_cells(path, dataset, cells, method=by, floor=LEAST_CELL, level=asked.level, resume=resume)
+            write_cells(
+                path, dataset, cells, method=by, floor=LEAST_CELL, level=asked.level, resume=resume, around=ahead
+            )
 
 
 def _samples_by_index(
-    model: ScoreNetwork, recipe: DiffusionRecipe, dataset: Dataset
+    model: ScoreNetwork, recipe: DiffusionRecipe, dataset: Dataset, products: str
 ) -> Callable[[int], npt.NDArray[np.float64]]:
     """Return a callable from an image's index to its samples (n, 3, 3); it is quick for one image after another."""
     embeddings_in = embedded_blocks(model, dataset, recipe.input_size, _EMBEDDED_AT_ONCE)
 
-    @lru_cache(maxsize=2)
+    @lru_cache(maxsize=_SAMPLES_KEPT)
     def samples_in(part: int) -> npt.NDArray[np.float64]:
         block, rest = divmod(part * _SAMPLED_AT_ONCE, BLOCK)
         embeddings = embeddings_in(block)[rest : rest + _SAMPLED_AT_ONCE]
         rng = torch.Generator(model.device).manual_seed(part)
-        return next(_drawn(model, embeddings, recipe.samples, recipe.steps, rng))
+        return next(_drawn(model, embeddings, recipe.samples, recipe.steps, rng, products))
 
     return lambda i: samples_in(i // _SAMPLED_AT_ONCE)[i % _SAMPLED_AT_ONCE]
 
