@@ -15,6 +15,7 @@ from symsol_annot.rotations.so3 import Angles, Rotations, angle_between, rotatio
 
 CONTINUOUS_CIRCLE_ORDER = 360  # a circle of steps of 1 degree or less stands for a continuous one
 _CLOSE_SQUARED = 1e-4  # 0.4 degrees; from there on the product's rounding is under 1e-13 rad
+_ROUNDING = 1e-13  # of the product, and more
 _PAIRS_AT_ONCE = 2**18  # 2 MiB, which the caches hold
 
 
@@ -22,7 +23,7 @@ def nearest_angles(R_a: Rotations, R_b: Rotations) -> Angles:
     """Return, for each of R_a (a, 3, 3), the angle (a,) in rad to the nearest of R_b (b, 3, 3)."""
     step = max(1, _PAIRS_AT_ONCE // len(R_b))
     parts = [R_a[start : start + step] for start in range(0, max(1, len(R_a)), step)]
-    return np.concatenate([_angles(part, R_b, _squared_distances(R_b, part).min(axis=0)) for part in parts])
+    return np.concatenate([_angles(part, R_b, _squared_distances(R_b, part)) for part in parts])
 
 
 def nearest_angles_both_ways(R_a: Rotations, R_b: Rotations) -> tuple[Angles, Angles]:
@@ -36,7 +37,7 @@ def nearest_angles_both_ways(R_a: Rotations, R_b: Rotations) -> tuple[Angles, An
         (..., a) and (..., b) angles in rad.
     """
     squared = _squared_distances(R_b, R_a)
-    return _angles(R_a, R_b, squared.min(axis=-2)), _angles(R_b, R_a, squared.min(axis=-1))
+    return _angles(R_a, R_b, squared), _angles(R_b, R_a, np.swapaxes(squared, -1, -2))
 
 
 def _squared_distances(R_a: Rotations, R_b: Rotations) -> npt.NDArray[np.float64]:
@@ -52,17 +53,22 @@ def _squared_distances(R_a: Rotations, R_b: Rotations) -> npt.NDArray[np.float64
 
 
 def _angles(R_a: Rotations, R_b: Rotations, squared: npt.NDArray[np.float64]) -> Angles:
-    """Return eq. 5.6 of the smallest squared distances (..., a).
+    """Return eq. 5.6 of the least of the squared distances (..., b, a) of each of R_a.
 
-    For close rotations they are formed again from differences, entry by entry, which loses nothing to rounding.
+    For close rotations they are formed again from differences, entry by entry, which loses nothing to rounding: those
+    to all of R_b that may be the nearest, as far as the product can tell.
     """
-    squared = np.maximum(squared, 0.0)
-    close = np.nonzero(squared < _CLOSE_SQUARED)
-    step = max(1, _PAIRS_AT_ONCE // (9 * R_b.shape[-3]))
+    least = np.maximum(squared.min(axis=-2), 0.0)
+    close = np.nonzero(least < _CLOSE_SQUARED)
+    by_row, step = np.swapaxes(squared, -1, -2), max(1, _PAIRS_AT_ONCE // R_b.shape[-3])
     for start in range(0, len(close[0]), step):
         at = tuple(axis[start : start + step] for axis in close)
-        squared[at] = np.square(R_a[at][:, None] - R_b[at[:-1]]).sum(axis=(-2, -1)).min(axis=-1)
-    return _angle_of_squared(squared)
+        row, of_b = np.nonzero(by_row[at] <= least[at][:, None] + _ROUNDING)
+        differences = R_a[at][row] - R_b[(*(axis[row] for axis in at[:-1]), of_b)]
+        exact = np.full(len(at[0]), np.inf)
+        np.minimum.at(exact, row, np.square(differences).sum(axis=(-2, -1)))
+        least[at] = exact
+    return _angle_of_squared(least)
 
 
 def _angle_of_squared(squared: npt.NDArray[np.float64]) -> Angles:
