@@ -185,7 +185,7 @@ def nearest_angles_on_circles(
                 is_nearer = trace > best
                 np.copyto(best, trace, where=is_nearer)
                 np.copyto(nearest, c * steps + neighbour[gap], where=is_nearer)
-    squared = np.maximum(3.0 + np.square(R_other).sum(axis=(-2, -1)) - 2.0 * best, 0.0)
+    squared = np.maximum(3.0 + np.einsum("mij,mij->m", R_other, R_other) - 2.0 * best, 0.0)
     close = np.flatnonzero(squared < _CLOSE_SQUARED)
     members = starts[nearest[close] // steps] @ turns[nearest[close] % steps]
     squared[close] = np.square(R_other[close] - members).sum(axis=(-2, -1))
