@@ -52,6 +52,6 @@ def test_an_objects_methods_stay_beside_one_another_and_the_table_has_both_level
     levels.put_table(levels.PAGE, "levels.py", levels.table())
     lines = (kept / "page.md").read_text().splitlines()
     cell = "5.250<br>[5.000, 5.500]"
-    of_level = f"{cell} | {cell} | {cell} | 5.250"
+    of_level = f"{cell} | {cell} | 5.250"
     assert f"| tetX, mixture | {of_level} | {of_level} |" in lines
     assert "old" not in lines
