@@ -1,6 +1,8 @@
 """The picture of a leaderboard shows each method's figure and interval by object, the same on every machine."""
 
+import dataclasses
 import re
+from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -36,7 +38,7 @@ def test_a_picture_has_a_point_with_its_interval_for_each_row(folder):
 
 def series(count, is_reference=False):
     points = tuple(Point(object=name, value=0.5, low=0.4, high=0.6) for name in ("a", "b"))
-    return tuple(Series(label=f"m{i}", is_reference=is_reference, points=points) for i in range(count))
+    return tuple(Series(label=f"m{i}", is_reference=is_reference, style=i, points=points) for i in range(count))
 
 
 def test_points_do_not_cover_each_other_and_the_legend_is_off_the_data(monkeypatch, tmp_path):
@@ -58,8 +60,36 @@ def test_points_do_not_cover_each_other_and_the_legend_is_off_the_data(monkeypat
     assert all(container[2] for container in axes.containers)  # lines of errors
 
 
+def test_an_object_has_as_many_lines_as_methods(monkeypatch, tmp_path):
+    seen = []
+    monkeypatch.setattr(drawing, "write_figure", lambda figure, *_, **__: seen.append(figure))
+    of_b = [dataclasses.replace(one, points=one.points[1:]) for one in series(6)]
+    draw(Picture(name="x.svg", axis="F", objects=("a", "b"), series=(*of_b, *series(2, is_reference=True))), tmp_path)
+    (axes,) = seen[0].axes
+    lines = sorted(y for container in axes.containers for y in container[0].get_ydata())
+    assert lines == [0, 1, *range(3, 11)]  # of a, whose references alone there are, and of b
+    assert axes.get_ylim() == (11, -1)
+
+
+def test_a_method_is_drawn_alike_in_all_pictures_of_a_set(folder):
+    made = pictures_of(read_leaderboard(folder))
+    by_method = [{one.label.partition(" (")[0]: one.style for one in picture.series} for picture in made]
+    shared = by_method[0].keys() & by_method[1].keys()
+    assert shared
+    assert all(by_method[0][label] == by_method[1][label] for label in shared)
+    assert all(len(set(styles.values())) == len(styles) for styles in by_method)
+
+
+@pytest.mark.parametrize(
+    ("counts", "told"), [((9, 9), "M = 9"), ((12, 9, 30), "M = 9, 12, 30"), ((9, 12, 24, 30), "M = 9 to 30")]
+)
+def test_many_numbers_of_hypotheses_are_told_by_the_least_and_the_most(counts, told):
+    rows = {str(i): SimpleNamespace(title="A", facts={"M": count}, marks=()) for i, count in enumerate(counts)}
+    assert drawing._label(rows) == f"A ({told})"
+
+
 def test_no_two_of_sixty_methods_are_drawn_alike():
-    styles = [(style["color"], style["marker"]) for style in drawing._styles(series(60))]
+    styles = [(style["color"], style["marker"]) for style in map(drawing._style, series(60))]
     assert len(set(styles)) == 60
 
 
