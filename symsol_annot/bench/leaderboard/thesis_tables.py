@@ -11,7 +11,7 @@ from symsol_annot.bench.scoring.scorers.table import SCORINGS
 from symsol_annot.system.text.markdown import escaped, tabled
 
 _ABOUT_FIRST_ROWS = """\
-A table's last row has, object by object, this figure of the method that ranks first above, whatever it was told."""
+A table's last rows have this figure of what ranks first above, object by object, whatever it was told."""
 
 
 def beside_the_thesis(board: Leaderboard, tables: Mapping[str, Sequence[Table]]) -> Iterator[str]:
@@ -54,31 +54,34 @@ def _thesis_rows(table: ThesisTable, runs: Mapping[str, Sequence[tuple[str, Resu
             *("" if math.isnan(value) else f"{value:.3f}" for value in values),
         ]
         for folder, result in runs[recipe]:
-            here = f"here, {escaped(f'{folder}/{result.name}')}{_counts(result, table)}"
+            named = f": {result.name}" if result.name != result.account.recipe else ""
+            here = f"here, {escaped(folder + named)}{_counts(result, table)}"
             yield [f"`{result.account.recipe}`", here, *(_measured(result, o, table) for o in table.objects)]
 
 
 def _first_rows(
     board: Leaderboard, tables: Mapping[str, Sequence[Table]], of_thesis: ThesisTable
 ) -> Iterator[Sequence[str]]:
-    """Yield a row for each set: what the first of an object's ranking has in the thesis's figure, and which that is."""
+    """Yield, of each set, a row for each method that ranks first of some object: its figures of these in the table."""
     for folder, of_set in tables.items():
         first = {table.object: table.ranked[0] for table in of_set if table.track == of_thesis.track and table.ranked}
-        if any(name in first for name in of_thesis.objects):
+        shown = [name for name in of_thesis.objects if name in first]
+        for method in dict.fromkeys(first[name].name for name in shown):
             cells = (
-                _of_first(first[name], name, board.results[folder], of_thesis) if name in first else ""
+                _of_first(first[name], name, board.results[folder], of_thesis)
+                if name in first and first[name].name == method
+                else ""
                 for name in of_thesis.objects
             )
-            yield ["first in rank", f"here, {escaped(folder)}", *cells]
+            yield [escaped(method), f"first in rank, {escaped(folder)}", *cells]
 
 
 def _of_first(row: Row, name: str, results: Sequence[Result], table: ThesisTable) -> str:
-    """Return a row's figure of an object, the mean over its seeds, above the row's name."""
-    every = [
-        result.scores[name][table.track]["all"][table.metric]["value"] for result in results if result.name in row.names
-    ]
+    """Return a row's figure of an object, the mean over its seeds."""
+    scores = (result.scores[name][table.track] for result in results if result.name in row.names)
+    every = [of_seed["all"][table.metric]["value"] for of_seed in scores]
     known = [value for value in every if value is not None]
-    return f"**{sum(known) / len(known):.3f}**<br>{escaped(row.name)}" if known else ""
+    return f"**{sum(known) / len(known):.3f}**" if known else ""
 
 
 def _counts(result: Result, table: ThesisTable) -> str:
