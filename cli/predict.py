@@ -43,6 +43,14 @@ from symsol_annot.system.machine import check_extra
     is_flag=True,
     help="Use torch.compile to score rotations, which makes bfloat16 faster. Needs a C++ compiler.",
 )
+@click.option(
+    "--hypotheses",
+    type=click.Choice(["balanced", "covering", "surest"]),
+    default="balanced",
+    show_default=True,
+    help="Of a mixture: covering lists 180 that leave less of the set out, surest the one that is expected to be "
+    "nearest to it. Both write hypotheses alone.",
+)
 def predict(
     checkpoint: Path,
     data: Path,
@@ -52,6 +60,7 @@ def predict(
     method: str | None,
     level: int,
     precision: str,
+    hypotheses: str,
     *,
     is_compiled: bool,
 ) -> None:
@@ -68,7 +77,15 @@ def predict(
     model = checkpoints.open_checkpoint(checkpoint)
     with dataset.load(find_set(data, model.record.object), split) as images:
         tracks = inference.predict(
-            model, images, out, chosen, method=method, level=level, precision=precision, is_compiled=is_compiled
+            model,
+            images,
+            out,
+            chosen,
+            method=method,
+            level=level,
+            precision=precision,
+            is_compiled=is_compiled,
+            hypotheses=hypotheses,
         )
     say(
         f"{out}: {', '.join(tracks)} about {len(images)} images of {images.object}\n"

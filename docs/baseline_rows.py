@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from symsol_annot.bench.leaderboard.results import SET, THESIS
-from symsol_annot.bench.models.kinds import kind_of
+from symsol_annot.bench.models.kinds import MODEL_KINDS, kind_of
+from symsol_annot.bench.models.methods.method import BALANCED, COVERING, SUREST
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.retrieval import retrieval
 from symsol_annot.bench.models.training.checkpoints import WEIGHTS_FILE
@@ -19,6 +20,7 @@ from symsol_annot.system.reading import file_sha256
 BOARD = Path(__file__).resolve().parent / "results" / "leaderboard"
 TIERS = {"small": "small", "published": "data"}  # to the folders of their sets, as the commands of its set.toml have it
 MARKED = ("tetX", "cylO")
+TITLES = {BALANCED: "", COVERING: ": 180 hypotheses", SUREST: ": its surest hypothesis"}
 COMPILED = ("classifier", "implicit-pdf")  # models that torch.compile makes faster
 ONE_OBJECT = {  # rows of one object alone
     **dict.fromkeys(("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer"), "tetX"),
@@ -39,19 +41,32 @@ class Row:
         tier: "small" or "published", a folder of the leaderboard.
         seed: of the training.
         folder: that the commands are run in.
+        hypotheses: which of a mixture's it lists; all but "balanced" are rows beside that of the recipe, of the same
+            trainings.
     """
 
     recipe: str
     tier: str
     seed: int
     folder: Path
+    hypotheses: str = BALANCED
 
     is_trained: ClassVar[bool] = True
 
     @property
+    def method(self) -> str:
+        """What results share that differ in their seed alone."""
+        return self.recipe if self.hypotheses == BALANCED else f"{self.recipe}-{self.hypotheses}"
+
+    @property
     def name(self) -> str:
         """Of the result's files."""
-        return f"{self.recipe}-seed-{self.seed}" if self.seed else self.recipe
+        return f"{self.method}-seed-{self.seed}" if self.seed else self.method
+
+    def run(self, name: str) -> str:
+        """Return the folder of an object's training, from the working folder."""
+        seed = f"-seed-{self.seed}" if self.seed else ""
+        return f"runs/{name}-{self.recipe}{seed}"
 
     @property
     def data(self) -> str:
@@ -70,7 +85,7 @@ class Row:
 
     def weights(self, name: str) -> Path:
         """Return the checkpoint of an object."""
-        return self.folder / "runs" / f"{name}-{self.name}" / WEIGHTS_FILE
+        return self.folder / self.run(name) / WEIGHTS_FILE
 
     def predictions(self, name: str) -> Path:
         """Return the predictions about an object."""
@@ -90,7 +105,7 @@ class Row:
         there = list(self.fingerprints())
         of_thesis = {name for t in tomllib.loads((BOARD / THESIS).read_text())["tables"].values() for name in t["rows"]}
         is_thesiss = self.recipe in of_thesis or self.recipe.startswith("reduced-")
-        if self.tier == "published" and is_thesiss:
+        if self.tier == "published" and (is_thesiss or self.hypotheses != BALANCED):
             there = list(MARKED)
         return [name for name in there if name == ONE_OBJECT.get(self.recipe, name)]
 
@@ -100,16 +115,17 @@ class Row:
 
     def train_command(self, name: str) -> list[str]:
         """Return the words that train the recipe on an object."""
-        seeded = ["--seed", str(self.seed), "--out", f"runs/{name}-{self.name}"] if self.seed else []
+        seeded = ["--seed", str(self.seed), "--out", self.run(name)] if self.seed else []
         return ["symsol-annot", "train", self.recipe, "--data", self.data, "--object", name, *seeded]
 
     def predict_command(self, name: str) -> list[str]:
         """Return the words that predict an object's test images."""
-        run = f"{name}-{self.name}"
         kind = kind_of(load_recipe(self.recipe).for_object(name, has_marking=False))
         asked = ["--precision", "auto"] if kind.scores_rotations and self.tier == "published" else []
         asked += ["--compile"] if asked and kind.name in COMPILED else []
-        return ["symsol-annot", "predict", f"runs/{run}", "--data", self.data, "--out", f"{run}.h5", *asked]
+        asked += ["--hypotheses", self.hypotheses] if self.hypotheses != BALANCED else []
+        out = self.predictions(name).name
+        return ["symsol-annot", "predict", self.run(name), "--data", self.data, "--out", out, *asked]
 
     def score_command(self, names: list[str]) -> list[str]:
         """Return the words that score the predictions."""
@@ -119,7 +135,7 @@ class Row:
     @property
     def title(self) -> str:
         """In words."""
-        return load_recipe(self.recipe).title.partition(", small")[0]
+        return load_recipe(self.recipe).title.partition(", small")[0] + TITLES[self.hypotheses]
 
     def made_from(self, name: str) -> str:
         """Return a digest of what predictions about an object are made from: its checkpoint's."""
@@ -167,7 +183,7 @@ class Retrieval(Row):
 
 
 def row_of(recipe: str, tier: str, seed: int, folder: Path) -> Row:
-    """Return the row of a recipe's name, or of the method that needs none.
+    """Return the row of a recipe's name, with "-covering" or "-surest" of other hypotheses, or of what needs none.
 
     Raises:
         SettingsError: there is no such recipe.
@@ -177,5 +193,8 @@ def row_of(recipe: str, tier: str, seed: int, folder: Path) -> Row:
         if seed:
             raise BaselineError(f"--seed {seed}: {recipe} draws nothing at random; leave it out")
         return Retrieval(recipe, tier, seed, folder)
-    load_recipe(recipe)
-    return Row(recipe, tier, seed, folder)
+    trained, _, hypotheses = recipe.rpartition("-")
+    if hypotheses not in TITLES or not MODEL_KINDS[load_recipe(trained).base["model"]].chooses_hypotheses:
+        trained, hypotheses = recipe, BALANCED
+    load_recipe(trained)
+    return Row(trained, tier, seed, folder, hypotheses)

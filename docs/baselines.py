@@ -213,7 +213,7 @@ def result(row: Row, digests: Mapping[str, str], earlier: Earlier) -> str:
         "by": "symsol-annot",
         "hardware": before if now in before else "; ".join(filter(None, [before, now])),
         **({"recipe": row.recipe} if row.is_trained else {}),
-        "method": row.recipe,
+        "method": row.method,
         "input_px": input_px(records) if row.is_trained else retrieval.DEFAULT_SIZE,
         **row.knowledge(),
         "commands": [" ".join(command) for command in (*words, row.score_command(names))],

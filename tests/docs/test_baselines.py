@@ -277,6 +277,7 @@ def test_objects_that_a_result_has_already_are_kept_when_others_are_added(made):
         ("small-classifier-hard-negatives", "small", ["tetX"], (True, True)),
         ("wta-von-mises", "published", ["tetX", "cylO"], (False, False)),
         ("mixture", "published", ["tet", "cube", "icosa", "cone", "cyl", "tetX", "cylO", "sphereX"], (True, True)),
+        ("mixture-covering", "published", ["tetX", "cylO"], (True, True)),
         ("volume-classifier", "published", ["sphereX"], (False, True)),
     ],
 )

@@ -26,6 +26,7 @@ class ModelKind:
         best_by: the metric by which the best epoch is chosen.
         module: has METHOD; by its name, as recipes are read without torch.
         scores_rotations: whether rotations go through a network when it is asked, which is what takes the time.
+        chooses_hypotheses: whether it may be asked for hypotheses that leave less out, or for its surest one.
     """
 
     name: str
@@ -35,6 +36,7 @@ class ModelKind:
     best_by: str
     module: str
     scores_rotations: bool = False
+    chooses_hypotheses: bool = False
 
     @property
     def method(self) -> Method:
@@ -71,6 +73,7 @@ MODEL_KINDS = {
             tracks=("hypotheses", "classifier", "density"),
             best_by="log_likelihood_at_gt",
             module=f"{_METHODS}.mixture.method",
+            chooses_hypotheses=True,
         ),
         ModelKind(
             name="implicit-pdf",

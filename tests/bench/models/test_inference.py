@@ -15,12 +15,13 @@ from symsol_annot.bench.models import devices
 from symsol_annot.bench.models.inference import identity, predict
 from symsol_annot.bench.models.methods.hypotheses import method as hypothesis_method
 from symsol_annot.bench.models.methods.logits import LogitsByIndex
+from symsol_annot.bench.models.methods.method import HYPOTHESES
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.training.checkpoints import Checkpoint, new_model
 from symsol_annot.bench.models.training.record import TrainingRecord
 from symsol_annot.bench.models.views import in_all_views, probability_in_all_views
 from symsol_annot.bench.predictions.queries import Queries
-from symsol_annot.errors import ModelError, PredictionsError, RotationError
+from symsol_annot.errors import ModelError, PredictionsError, RotationError, SettingsError
 from symsol_annot.rotations.grid import equivolumetric_grid
 from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.dataset import load
@@ -101,6 +102,28 @@ def test_a_network_that_scores_no_rotations_answers_in_float32(few_images, tmp_p
     for precision in ("float32", "bfloat16"):
         predict(checkpoint("small-wta"), few_images, tmp_path / precision, CPU, precision=precision)
     assert (tmp_path / "float32").read_bytes() == (tmp_path / "bfloat16").read_bytes()
+
+
+def test_covering_hypotheses_are_written_alone_and_say_so(few_images, tmp_path):
+    given, path = checkpoint("mixture"), tmp_path / "preds.h5"
+    assert predict(given, few_images, path, CPU, hypotheses="covering") == ("hypotheses",)
+    with h5py.File(path) as file:
+        assert file.attrs["method"] == "mixture-covering"
+        assert file["hypotheses"].shape == (5, 180, 3, 3)
+        assert "density" not in file
+    assert predict(given, few_images, tmp_path / "surest.h5", CPU, hypotheses="surest") == ("hypotheses",)
+    with h5py.File(tmp_path / "surest.h5") as file:
+        assert file["hypotheses"].shape == (5, 1, 3, 3)
+    names = {identity(given, hypotheses=which) for which in HYPOTHESES}
+    assert len(names) == 3  # kept answers of one are not taken for another's
+
+
+def test_hypotheses_that_a_model_does_not_choose_are_refused(few_images, tmp_path):
+    with pytest.raises(SettingsError, match=r"'covering' can be asked of .*, and this is of the kind hypotheses"):
+        predict(checkpoint("small-wta"), few_images, tmp_path / "preds.h5", CPU, hypotheses="covering")
+    with pytest.raises(SettingsError, match="expected balanced, covering, surest, found 'many'"):
+        predict(checkpoint("mixture"), few_images, tmp_path / "preds.h5", CPU, hypotheses="many")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_model_of_another_object_or_size_is_refused(few_images, tmp_path):

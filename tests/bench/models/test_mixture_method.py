@@ -9,6 +9,7 @@ from made_sets import make_set
 from tiny_training import CPU, MIXTURE
 
 from symsol_annot.bench.models.inference import predict
+from symsol_annot.bench.models.methods.method import BALANCED, COVERING, SUREST
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.calibration import climb
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
@@ -22,6 +23,7 @@ from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import SettingsError
 from symsol_annot.rotations.grid import cell_of
 from symsol_annot.rotations.groups import dihedral_group, tetrahedral_group
+from symsol_annot.rotations.nearest import nearest_angles
 from symsol_annot.sets.dataset import load
 
 torch.set_num_threads(1)
@@ -114,6 +116,53 @@ def test_hypotheses_are_rotations_that_the_density_holds_likely(structure):
     assert np.allclose(hypotheses @ np.swapaxes(hypotheses, 1, 2), np.eye(3), atol=1e-5)
     uniform = found.log_density(grid_of(1).rotations).median()
     assert (found.log_density(torch.from_numpy(hypotheses).float()) > uniform + 0.5).float().mean() > 0.6
+
+
+@pytest.mark.parametrize("structure", GROUPS)
+@torch.no_grad()
+def test_samples_are_drawn_from_the_density(structure):
+    found, _ = density(structure, narrower=-1.0)
+    drawn, grid = torch.from_numpy(found.samples(4000)).float(), grid_of(LEVEL + 1).rotations
+    assert torch.allclose(drawn @ drawn.mT, torch.eye(3), atol=1e-4)
+    p = found.log_density(grid).double().exp()
+    least = float(np.log(np.quantile(p, 0.9)))
+    is_dense = found.log_density(grid) > least
+    held = float(p[is_dense].sum() / p.sum())
+    assert float((found.log_density(drawn) > least).float().mean()) == pytest.approx(held, abs=0.1)
+
+
+@pytest.mark.parametrize("structure", GROUPS)
+@torch.no_grad()
+def test_covering_hypotheses_leave_less_out(structure):
+    found, _ = density(structure)
+    likely = found.samples(600)
+    few, many = found.listed(BALANCED), found.listed(COVERING)
+    assert len(many) == 180
+    assert np.allclose(many[: len(few)], few)
+    assert nearest_angles(likely, many).mean() < 0.9 * nearest_angles(likely, few).mean()
+
+
+@pytest.mark.parametrize("structure", ["free", "group", "circle"])
+@torch.no_grad()
+def test_the_surest_hypothesis_is_where_the_density_is_highest(structure):
+    found, _ = density(structure)
+    at = [found.log_density(torch.from_numpy(found.listed(which)).float()) for which in (BALANCED, SUREST)]
+    assert len(at[1]) == 1
+    assert at[1][0] >= at[0].max() - 1e-3
+
+
+@pytest.mark.parametrize("probability_shown", [0.0, 0.5, 1.0])
+@torch.no_grad()
+def test_the_surest_turn_of_a_marking_errs_least_whether_it_shows_or_not(probability_shown):
+    found, body = density("marked-circle")
+    found.__dict__["probability_shown"] = probability_shown
+    R = torch.from_numpy(found.listed(SUREST)).float() @ body.group  # the identity first
+    share, is_hidden = torch.softmax(found.pose.of_image(R), 0), found._views.logit(R) > 0
+    angles = np.stack([nearest_angles(R.numpy(), one[None].numpy()) for one in R])
+    expected = probability_shown * angles @ share.numpy()
+    assert is_hidden.any()
+    expected += (1.0 - probability_shown) * angles[:, is_hidden].min(axis=1)
+    assert expected[0] == pytest.approx(expected.min(), abs=5e-3)
 
 
 @pytest.mark.parametrize("structure", GROUPS)

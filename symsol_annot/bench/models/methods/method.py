@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from symsol_annot.sets.shard.labels import Labels
 
 
+BALANCED, COVERING, SUREST = "balanced", "covering", "surest"
+HYPOTHESES = (BALANCED, COVERING, SUREST)
+
+
 @dataclass(frozen=True)
 class Asked:
     """How a model is asked about a split.
@@ -32,6 +36,7 @@ class Asked:
         calibration: what was fitted on validation images, by names.
         products: the precision of the matrix products that score rotations, "float32" or "bfloat16".
         is_compiled: whether torch.compile works on what scores rotations.
+        hypotheses: which of a density's are listed, one of `HYPOTHESES`; others than BALANCED are written alone.
     """
 
     method: str
@@ -40,6 +45,7 @@ class Asked:
     calibration: Mapping[str, float]
     products: str = FLOAT32
     is_compiled: bool = False
+    hypotheses: str = BALANCED
 
 
 class Learner(Protocol):

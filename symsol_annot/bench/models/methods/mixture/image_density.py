@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from symsol_annot.bench.models.methods.method import BALANCED, COVERING, SUREST
 from symsol_annot.bench.models.methods.mixture.body import Body
 from symsol_annot.bench.models.methods.mixture.cells import Grid
 from symsol_annot.bench.models.methods.mixture.claims import Calibration, best_threshold
@@ -19,6 +20,7 @@ from symsol_annot.bench.models.networks.mixtures import AxisMixture, PoseMixture
 from symsol_annot.rotations.grid import grid_size
 
 HYPOTHESES = 30
+MANY_HYPOTHESES = 180
 LEAST_CELL = 1e-9  # of a cell's probability: less is not told apart, and a file of 5,000 images stays small
 _NEGLIGIBLE = 5.0  # what all components' shares are less by, in logarithms, where they may be left out: under 0.7%
 _SAMPLES = 1024
@@ -49,7 +51,24 @@ class ImageDensity(ABC):
 
     @abstractmethod
     def hypotheses(self) -> npt.NDArray[np.float64]:
-        """Return hypotheses (m, 3, 3)."""
+        """Return hypotheses (m, 3, 3), few of them wrong, that leave little out."""
+
+    def listed(self, which: str) -> npt.NDArray[np.float64]:
+        """Return hypotheses (m, 3, 3) of the kind that is asked for."""
+        return {BALANCED: self.hypotheses, COVERING: self.covering, SUREST: self.surest}[which]()
+
+    @abstractmethod
+    def surest(self) -> npt.NDArray[np.float64]:
+        """Return the one rotation (1, 3, 3) that is expected to be nearest to the set."""
+
+    @abstractmethod
+    def samples(self, count: int) -> npt.NDArray[np.float64]:
+        """Return rotations (count, 3, 3) drawn from the density."""
+
+    def covering(self) -> npt.NDArray[np.float64]:
+        """Return 180 hypotheses (180, 3, 3) that leave less out: those of `hypotheses`, and samples."""
+        few = self.hypotheses()[:MANY_HYPOTHESES]
+        return np.concatenate([few, self.samples(MANY_HYPOTHESES - len(few))])
 
 
 class PoseDensity(ImageDensity):
@@ -107,6 +126,15 @@ class PoseDensity(ImageDensity):
         kept = order[weights[order] > min(_LEAST_WEIGHT, float(weights.max()) / 2.0)]
         return self._told.centres[0, kept].double().numpy()
 
+    def surest(self) -> npt.NDArray[np.float64]:
+        """Return the centre of a component at which the density is highest."""
+        centres = self._told.centres[0]
+        return centres[self.log_density(centres).argmax()][None].double().numpy()
+
+    def samples(self, count: int) -> npt.NDArray[np.float64]:
+        """Return rotations (count, 3, 3) drawn from the density."""
+        return self.mixture.samples(count, self._rng)[0].double().numpy()
+
 
 def _negligible(mixture: PoseMixture, log_p: float) -> float:
     """Return ln of the share of one component that does not count where p is at least so large."""
@@ -161,6 +189,16 @@ class CircleDensity(ImageDensity):
         group = self._body.group
         chosen = (np.arange(HYPOTHESES) + 0.5) * len(group) / HYPOTHESES
         return (_frame(self._told, self._body) @ group[chosen.astype(int)]).double().numpy()
+
+    def surest(self) -> npt.NDArray[np.float64]:
+        """Return a rotation whose axis is the likeliest."""
+        return _frame(self._told, self._body)[None].double().numpy()
+
+    def samples(self, count: int) -> npt.NDArray[np.float64]:
+        """Return rotations (count, 3, 3) drawn from the density."""
+        frames = _frames_of(self.mixture.samples(count, self._rng)[0], self._body)
+        turns = torch.randint(len(self._body.group), (count,), generator=self._rng)
+        return (frames @ self._body.group[turns]).double().numpy()
 
 
 class MarkedCircleDensity(ImageDensity):
@@ -217,14 +255,23 @@ class MarkedCircleDensity(ImageDensity):
         return self.probability_shown * shown > (1.0 - self.probability_shown) * hidden
 
     def _shown_at_samples(self) -> Tensor:
-        """Return ln p of the shown density at samples of it: of the axis, then of the turn about it."""
+        """Return ln p of the shown density at samples of it."""
         axes = self.axis.samples(_AXIS_SAMPLES, self._rng)[0]
+        _, log_conditional = self._turns_of(axes)
+        return self.axis.of_image(axes) + log_conditional[:, 0] + float(np.log(len(self._body.group)))
+
+    def _turns_of(self, axes: Tensor, each: int = 1) -> tuple[Tensor, Tensor]:
+        """Draw turns of a marking that shows about axes (n, 3): (n, each) indices of the group, ln of their share."""
         log_q = self.pose.of_image((_frames_of(axes, self._body)[:, None] @ self._body.group).flatten(0, 1))
-        log_q = log_q.reshape(len(axes), len(self._body.group))
-        log_conditional = log_q - torch.logsumexp(log_q, 1, keepdim=True)
-        turns = torch.multinomial(log_conditional.exp(), 1, generator=self._rng)
-        turned = torch.gather(log_conditional, 1, turns)[:, 0] + float(np.log(log_q.shape[1]))
-        return self.axis.of_image(axes) + turned
+        log_conditional = torch.log_softmax(log_q.reshape(len(axes), len(self._body.group)), 1)
+        turns = torch.multinomial(log_conditional.exp(), each, replacement=True, generator=self._rng)
+        return turns, torch.gather(log_conditional, 1, turns)
+
+    def _hidden_turns_of(self, axes: Tensor, each: int) -> Tensor:
+        """Draw turns about axes (n, 3) of a marking that is hidden: (n, each) indices of the group."""
+        every = (_frames_of(axes, self._body)[:, None] @ self._body.group).flatten(0, 1)
+        hides = torch.sigmoid(self._views.logit(every)).reshape(len(axes), len(self._body.group))
+        return torch.multinomial(hides, each, replacement=True, generator=self._rng)
 
     def _log_mean_pose(self, R: Tensor) -> Tensor:
         """Return ln of the mean over g of q(R g) (n,): of the axes R a, of which there are few."""
@@ -289,7 +336,29 @@ class MarkedCircleDensity(ImageDensity):
         chosen = ((np.arange(HYPOTHESES) + 0.5) * len(kept) / HYPOTHESES).astype(int)
         return kept[chosen].double().numpy()
 
+    def surest(self) -> npt.NDArray[np.float64]:
+        """Return the turn about the likeliest axis that is expected to be nearest, whether the marking shows or not."""
+        candidates = _frame(self._told.axis, self._body) @ self._body.group
+        R = candidates.double().numpy()
+        angles = np.arccos(np.clip((np.einsum("aij,bij->ab", R, R) - 1.0) / 2.0, -1.0, 1.0))
+        share = torch.softmax(self.pose.of_image(candidates), 0).double().numpy()
+        expected = self.probability_shown * angles @ share
+        is_hidden = self._views.logit(candidates).numpy() > 0
+        if is_hidden.any():
+            expected += (1.0 - self.probability_shown) * angles[:, is_hidden].min(axis=1)
+        return R[expected.argmin()][None]
 
+    def samples(self, count: int) -> npt.NDArray[np.float64]:
+        """Return rotations (count, 3, 3) drawn from the density, several about each of a few axes."""
+        axes = self.axis.samples(_AXES_OF_SAMPLES, self._rng)[0]
+        each = -(-count // len(axes))
+        shown, hidden = self._turns_of(axes, each)[0], self._hidden_turns_of(axes, each)
+        is_shown = torch.rand(shown.shape, generator=self._rng) < self.probability_shown
+        turned = _frames_of(axes, self._body)[:, None] @ self._body.group[torch.where(is_shown, shown, hidden)]
+        return turned.transpose(0, 1).flatten(0, 1)[:count].double().numpy()
+
+
+_AXES_OF_SAMPLES = 24
 _AXIS_SAMPLES = 192
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from symsol_annot.bench.models.methods.ahead import looking_ahead
 from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
-from symsol_annot.bench.models.methods.method import Asked
+from symsol_annot.bench.models.methods.method import BALANCED, Asked
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT, Calibration
@@ -58,7 +58,7 @@ class MixtureMethod:
     def write_predictions(
         self, model: MixtureNetwork, recipe: MixtureRecipe, dataset: Dataset, path: Path, asked: Asked
     ) -> None:
-        """Write hypotheses, claims and densities of a split's images."""
+        """Write hypotheses, claims and densities of a split's images, or chosen hypotheses alone."""
         density = _densities_by_index(model, recipe, dataset, Calibration.from_record(asked.calibration))
         grid, by, resume = grid_of(asked.level), asked.method, asked.resume
 
@@ -70,7 +70,9 @@ class MixtureMethod:
             return near, _claimed(log_claim)
 
         with torch.no_grad(), looking_ahead(len(dataset)) as ahead:
-            write_hypotheses(path, dataset, lambda i: density(i).hypotheses(), method=by, resume=resume)
+            write_hypotheses(path, dataset, lambda i: density(i).listed(asked.hypotheses), method=by, resume=resume)
+            if asked.hypotheses != BALANCED:
+                return
             write_claims(path, dataset, at_queries, on_grid, method=by, level=asked.level, resume=resume, around=ahead)
             write_cells(
                 path,
