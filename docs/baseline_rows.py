@@ -23,6 +23,7 @@ MARKED = ("tetX", "cylO")
 TITLES = {BALANCED: "", COVERING: ": 180 hypotheses", SUREST: ": its surest hypothesis"}
 COMPILED = ("classifier", "implicit-pdf")  # models that torch.compile makes faster
 ONE_OBJECT = {  # rows of one object alone
+    "mixture-64": "cylO",
     **dict.fromkeys(("small-classifier-hard-negatives", "small-classifier-f5", "small-classifier-longer"), "tetX"),
     **dict.fromkeys(("volume-classifier", "volume-classifier-outside", "volume-classifier-unweighted"), "sphereX"),
 }

@@ -153,6 +153,12 @@ def test_of_spherex_alone_statistics_are_those_of_many_images(name):
     assert {recipe(name, other).statistics_images for other in ("tet", "cube", "icosa", "cone", "cyl", "tetX")} == {0}
 
 
+@pytest.mark.parametrize("name", ["tet", "cyl", "tetX", "cylO", "sphereX"])
+def test_the_mixture_of_64_pixels_differs_in_its_input_alone(name):
+    larger, plain = recipe("mixture-64", name), recipe("mixture", name)
+    assert larger == replace(plain, title=larger.title, input_size=64)
+
+
 REDUCED_CLASSIFIERS = [
     "classifier",
     *(f"classifier-{row}" for row in ("best-precision", "no-encoding", "no-pretraining")),
