@@ -2,9 +2,10 @@
 
 Two short trainings, of a mixture and of a classifier, have all of a recipe's means; of each further one, one thing is
 changed. Of each, docs/results/effects.json keeps its recipe, the F-measure on validation images after the last epoch
-with what is fitted on them, a classifier's without that, a mixture's log-likelihood, and the speed; the table of
-docs/training.md is written from that file. Re-running the command resumes it, and trains nothing that the file has of
-the same recipe.
+with what is fitted on them, a classifier's without that, a mixture's log-likelihood, and the speed then. The table of
+docs/training.md is written from that file, with the speeds of docs/results/effect_speeds.json, which
+tools/perf/effect_speeds.py measures in one run. Re-running the command resumes it, and trains nothing that the file has
+of the same recipe.
 """
 
 import argparse
@@ -25,6 +26,7 @@ from symsol_annot.system.files import write_atomically
 
 PROJECT = Path(__file__).resolve().parents[1]
 RESULTS = PROJECT / "docs" / "results" / "effects.json"
+SPEEDS = PROJECT / "docs" / "results" / "effect_speeds.json"
 PAGE = PROJECT / "docs" / "training.md"
 MEANS: Mapping[str, Any] = {
     "start": "random",
@@ -175,7 +177,8 @@ def keep(name: str, seed: int, found: Measured, instead: Mapping[str, Any] | Non
 
 def table() -> str:
     """Return the table of the results as Markdown."""
-    lines = ["| changed | F-measure | without the fit | log-likelihood | images per second |", "|---|---|---|---|---|"]
+    lines = ["| changed | F-measure | without the fit | log-likelihood | speed |", "|---|---|---|---|---|"]
+    speeds = json.loads(SPEEDS.read_text())["training"] if SPEEDS.is_file() else {}
     for name, known in known_results().items():
         changes = ", ".join(f"`{key} = {json.dumps(value)}`" for key, value in EFFECTS[name].items()) or "nothing"
         figures = [Measured(**one) for one in known["seeds"].values()]
@@ -185,9 +188,8 @@ def table() -> str:
                 *((one.f_measure, one.unfitted_f_measure, one.log_likelihood) for one in figures), strict=True
             )
         ]
-        speeds = sorted(one.images_per_second for one in figures)
-        method = name.partition(",")[0]
-        lines.append(f"| {method}: {changes} | {' | '.join(told)} | {speeds[len(speeds) // 2]:.0f} |")
+        speed = f"{speeds[name]['speed']:.2f}" if "speed" in speeds.get(name, {}) else ""
+        lines.append(f"| {name.partition(',')[0]}: {changes} | {' | '.join(told)} | {speed} |")
     return "\n".join(lines) + "\n"
 
 

@@ -24,6 +24,7 @@ def kept(tmp_path, monkeypatch):
     (tmp_path / "page.md").write_text(f"before\n{beginning('effects.py')}\nold\n{END}\nafter\n")
     monkeypatch.setattr(effects, "PAGE", tmp_path / "page.md")
     monkeypatch.setattr(effects, "RESULTS", tmp_path / "effects.json")
+    monkeypatch.setattr(effects, "SPEEDS", tmp_path / "effect_speeds.json")
     return tmp_path
 
 
@@ -64,13 +65,14 @@ def test_the_table_has_each_training_with_its_seeds_in_the_order_of_the_list(kep
     effects.keep(ONE, 0, OF_ONE)
     for seed in (0, 1):
         effects.keep(OTHER, seed, effects.Measured(0.1 + seed / 10, None, 3.0 + seed, 90.0 + seed, 1.0))
+    effects.SPEEDS.write_text(json.dumps({"training": {ONE: {"speed": 1.256}, OTHER: {"per_second": 400.0}}}))
     effects.write_table()
     assert list(json.loads((kept / "effects.json").read_text())) == [OTHER, ONE]
     lines = (kept / "page.md").read_text().splitlines()
     assert lines[0] == "before"
     assert lines[-1] == "after"
-    assert "| mixture: nothing | 0.100, 0.200 |  | 3.000, 4.000 | 91 |" in lines
-    assert "| classifier: `members = 1` | 0.500 | 0.250 |  | 100 |" in lines
+    assert "| mixture: nothing | 0.100, 0.200 |  | 3.000, 4.000 |  |" in lines
+    assert "| classifier: `members = 1` | 0.500 | 0.250 |  | 1.26 |" in lines
     assert "old" not in lines
 
 

@@ -37,9 +37,10 @@ _HOW_TO_READ = """\
 ## How to read a row
 
 The best figure of the column that ranks is bold. Other columns have no best figure: coverage alone would be won by
-listing everything. "px" is the side of the image that the network reads. Brackets hold 95% bootstrap intervals over
-images; they do not cover the variation between trainings. A method that was trained with several seeds is one row: the
-mean, its interval over images, and the range of the seeds.
+listing everything. M is the number of hypotheses per image, of lists of several lengths that of the longest; "px" is
+the side of the image that the network reads. Brackets hold 95% bootstrap intervals over images; they do not cover the
+variation between trainings. A method that was trained with several seeds is one row: the mean, its interval over
+images, and the range of the seeds.
 
 - {may_be_best} *may be the best.* With 95% confidence, the truly best of a table's ranked rows is among those with this
   sign. All are compared with each other at once, paired by image, so that many rows make no winner by chance

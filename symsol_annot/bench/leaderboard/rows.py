@@ -41,7 +41,7 @@ class Row:
         files: of their scores.
         title: the method.
         by: who sent it in; empty for a reference.
-        facts: without which results cannot be compared, such as M.
+        facts: without which results cannot be compared, such as M, of lists of several lengths the longest one's.
         input_px: the side in pixels of the image that the network reads; None where not told.
         told: what it knew beyond images and rotations, in words.
         figures: metric to figure of all images, the mean over the seeds.
@@ -183,7 +183,7 @@ class _Group:
             files=tuple(result.scores_file for result in results),
             title=first.account.title if isinstance(first, Result) else first.method,
             by=first.account.by if isinstance(first, Result) else "",
-            facts={fact: entries[0][track][fact] for fact in SCORINGS[track].shown_facts},
+            facts={fact: max(entry[track][fact] for entry in entries) for fact in SCORINGS[track].shown_facts},
             input_px=first.account.input_px if isinstance(first, Result) else None,
             told=tuple(_told(first)) if isinstance(first, Result) else (),
             figures=each[0] if len(each) == 1 else figures(mean, over_all)["all"],

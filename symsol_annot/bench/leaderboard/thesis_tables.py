@@ -73,7 +73,7 @@ def _first_rows(
                 else ""
                 for name in of_thesis.objects
             )
-            yield [escaped(method), f"first in rank, {escaped(folder)}", *cells]
+            yield [f"<code>{escaped(method)}</code>", f"first in rank, {escaped(folder)}", *cells]
 
 
 def _of_first(row: Row, name: str, results: Sequence[Result], table: ThesisTable) -> str:

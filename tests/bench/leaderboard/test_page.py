@@ -172,7 +172,7 @@ def test_the_last_rows_beside_the_thesis_are_what_ranks_first_of_each_object(fol
     for title in ("Table 5.1, recall: mean error, rad", "Table 5.2, precision: accuracy at 5 degrees"):
         *_, before, row = tables[title]
         assert not before[1].startswith("first in rank")
-        assert row[:2] == [first, "first in rank, tiny"]
+        assert row[:2] == [f"<code>{first}</code>", "first in rank, tiny"]
         metric = {"Table 5.1": "recall_mean_error_rad", "Table 5.2": "accuracy_at_5_deg"}[title[:9]]
         scores = json.loads((folder / "tiny" / f"{first}.json").read_text())["objects"]["tetX"]["hypotheses"]["all"]
         shown = dict(zip(tables[title][0][2:], row[2:], strict=True))

@@ -87,6 +87,16 @@ def test_results_of_one_method_have_one_M(seeded, images):
         read_leaderboard(seeded)
 
 
+def test_lists_of_several_lengths_may_have_another_M_in_each_seed(folder, images):
+    for name, seed, longest in (("seed-a", 0, 3), ("seed-b", 1, 2)):
+        lists = blurred(images, longest, 0.08, seed)
+        add(folder, images, name, lambda i, lists=lists: lists[i][: 1 + i % len(lists[i])], 'method = "m"', seed)
+        change_of(f"{name}.toml", f"The {name} one", "Both")(folder / "tiny")
+    (row,) = [row for row in hypotheses_table(folder).rows if row.title == "Both"]
+    assert row.facts["M"] == 3
+    assert len(row.names) == 2
+
+
 def test_copies_of_the_truth_have_no_rank_and_say_so(folder, images):
     copies = np.repeat(images.labels().rotation[:, None], 720, axis=1)
     add(folder, images, "copies", copies)
