@@ -20,7 +20,7 @@ from symsol_annot.system.reading import file_sha256
 BOARD = Path(__file__).resolve().parent / "results" / "leaderboard"
 TIERS = {"small": "small", "published": "data"}  # to the folders of their sets, as the commands of its set.toml have it
 MARKED = ("tetX", "cylO")
-TITLES = {BALANCED: "", COVERING: ": 180 hypotheses", SUREST: ": its surest hypothesis"}
+TITLES = {BALANCED: "", COVERING: "180 hypotheses: ", SUREST: "Surest hypothesis: "}
 COMPILED = ("classifier", "implicit-pdf")  # models that torch.compile makes faster
 ONE_OBJECT = {  # rows of one object alone
     "mixture-64": "cylO",
@@ -136,7 +136,7 @@ class Row:
     @property
     def title(self) -> str:
         """In words."""
-        return load_recipe(self.recipe).title.partition(", small")[0] + TITLES[self.hypotheses]
+        return TITLES[self.hypotheses] + load_recipe(self.recipe).title.partition(", small")[0]
 
     def made_from(self, name: str) -> str:
         """Return a digest of what predictions about an object are made from: its checkpoint's."""
