@@ -1,7 +1,10 @@
 """Predictions of trained models: what the model says, image by image; and rotations that fit several views."""
 
+import contextlib
 import dataclasses
 import re
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import h5py
@@ -15,7 +18,7 @@ from symsol_annot.bench.models import devices
 from symsol_annot.bench.models.inference import identity, predict
 from symsol_annot.bench.models.methods.hypotheses import method as hypothesis_method
 from symsol_annot.bench.models.methods.logits import LogitsByIndex
-from symsol_annot.bench.models.methods.method import HYPOTHESES
+from symsol_annot.bench.models.methods.method import HYPOTHESES, Asked
 from symsol_annot.bench.models.recipe import load_recipe
 from symsol_annot.bench.models.training.checkpoints import Checkpoint, new_model
 from symsol_annot.bench.models.training.record import TrainingRecord
@@ -102,6 +105,25 @@ def test_a_network_that_scores_no_rotations_answers_in_float32(few_images, tmp_p
     for precision in ("float32", "bfloat16"):
         predict(checkpoint("small-wta"), few_images, tmp_path / precision, CPU, precision=precision)
     assert (tmp_path / "float32").read_bytes() == (tmp_path / "bfloat16").read_bytes()
+
+
+def test_what_a_grid_brings_is_worked_out_once_by_threads_that_ask_together(few_images, monkeypatch):
+    of_class = LogitsByIndex.__dict__["_shares_of_grid"]
+    monkeypatch.setattr(of_class, "lock", contextlib.nullcontext(), raising=False)  # as from Python 3.12 on
+    calls, shares = [], LogitsByIndex._shares
+
+    def slow_shares(logits, R):
+        calls.append(len(R))
+        time.sleep(0.2)
+        return shares(logits, R)
+
+    monkeypatch.setattr(LogitsByIndex, "_shares", slow_shares)
+    grid = equivolumetric_grid(0)
+    asked = LogitsByIndex(checkpoint("small-classifier").model, 0, few_images, grid, Asked("mine", 0, "", {}))
+    with ThreadPoolExecutor(3) as pool:
+        first, *others = pool.map(asked.on_grid, [0, 0, 0])
+    assert calls == [len(grid)]
+    assert all(torch.equal(first, other) for other in others)
 
 
 def test_covering_hypotheses_are_written_alone_and_say_so(few_images, tmp_path):

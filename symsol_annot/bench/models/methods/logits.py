@@ -1,6 +1,7 @@
 """Logits of a split's images, which are asked about in their order, by models that score rotations one by one."""
 
 from functools import cached_property
+from threading import Lock
 
 import numpy as np
 import torch
@@ -32,7 +33,7 @@ class LogitsByIndex:
     def __init__(
         self, model: RotationClassifier, input_size: int, dataset: Dataset, grid: Rotations, asked: Asked
     ) -> None:
-        self._model, self._grid = model, grid
+        self._model, self._grid, self._lock = model, grid, Lock()
         self._scorer = RotationScorer(model, asked.products, is_compiled=asked.is_compiled)
         self._embeddings_in = embedded_blocks(model, dataset, input_size, _EMBEDDED_AT_ONCE)
 
@@ -50,7 +51,9 @@ class LogitsByIndex:
         Raises:
             ModelError: they are not finite.
         """
-        return self._logits(i, self._shares_of_grid)
+        with self._lock:  # images are asked about in several threads, and from Python 3.12 on the property has no lock
+            shares = self._shares_of_grid
+        return self._logits(i, shares)
 
     @cached_property
     def _shares_of_grid(self) -> Tensor:
