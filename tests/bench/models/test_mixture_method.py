@@ -22,7 +22,7 @@ from symsol_annot.bench.models.training.loop import train
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.errors import SettingsError
 from symsol_annot.rotations.grid import cell_of
-from symsol_annot.rotations.groups import dihedral_group, tetrahedral_group
+from symsol_annot.rotations.groups import dihedral_group, icosahedral_group, tetrahedral_group
 from symsol_annot.rotations.nearest import nearest_angles
 from symsol_annot.sets.dataset import load
 
@@ -140,6 +140,14 @@ def test_covering_hypotheses_leave_less_out(structure):
     assert len(many) == 180
     assert np.allclose(many[: len(few)], few)
     assert nearest_angles(likely, many).mean() < 0.9 * nearest_angles(likely, few).mean()
+
+
+@torch.no_grad()
+def test_a_body_with_many_symmetries_needs_no_samples_to_cover_its_set(monkeypatch):
+    monkeypatch.setitem(GROUPS, "group", icosahedral_group)
+    found, _ = density("group")
+    assert len(found.hypotheses()) >= 180
+    assert np.array_equal(found.listed(COVERING), found.hypotheses()[:180])
 
 
 @pytest.mark.parametrize("structure", ["free", "group", "circle"])

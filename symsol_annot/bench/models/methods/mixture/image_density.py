@@ -68,7 +68,8 @@ class ImageDensity(ABC):
     def covering(self) -> npt.NDArray[np.float64]:
         """Return 180 hypotheses (180, 3, 3) that leave less out: those of `hypotheses`, and samples."""
         few = self.hypotheses()[:MANY_HYPOTHESES]
-        return np.concatenate([few, self.samples(MANY_HYPOTHESES - len(few))])
+        more = MANY_HYPOTHESES - len(few)
+        return np.concatenate([few, self.samples(more)]) if more else few
 
 
 class PoseDensity(ImageDensity):
