@@ -95,14 +95,14 @@ def table() -> str:
     """Return the table of the results as Markdown, beside the thesis's own figures."""
     of_thesis = tomllib.loads((BOARD / THESIS).read_text())["tables"]["Table 7.1: F-measure at 0.8"]
     shapes = [shape for shape in MARKED if any(shape in known for known in known_results().values())]
-    columns = [f"{shape}: {what}" for shape in shapes for what in ("the thesis", "F at 0.8", "recall", "precision")]
+    columns = [f"{shape}: {what}" for shape in shapes for what in ("the thesis", "F at 0.8")]
     lines = [f"| | {' | '.join(columns)} |", "|---|" + "---|" * len(columns)]
     for name, known in known_results().items():
         cells = []
         for shape in shapes:
             theirs = of_thesis["rows"].get(name)
             cells.append("" if theirs is None else f"{theirs[of_thesis['objects'].index(shape)]:.3f}")
-            cells += [f"{known[shape][figure]:.3f}" if shape in known else "" for figure in FIGURES]
+            cells.append(f"{known[shape]['f_measure']:.3f}" if shape in known else "")
         lines.append(f"| {ROWS[name]} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 

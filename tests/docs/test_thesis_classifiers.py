@@ -84,8 +84,7 @@ def test_what_is_not_in_the_folder_stays_and_the_table_has_the_thesiss_figures(k
     thesis_classifiers.write_table()
     assert list(json.loads((kept / "results.json").read_text())) == ["classifier", "classifier-k64"]
     lines = (kept / "page.md").read_text().splitlines()
-    figures = "0.408 | 0.500 | 0.250 | 0.750 | 0.603 | 0.625 | 0.250 | 0.750"
-    assert f"| baseline: first stage by best recall, K = 256 | {figures} |" in lines
-    assert "| K = 64 |  | 0.500 | 0.250 | 0.750 |  |  |  |  |" in lines
+    assert "| baseline: first stage by best recall, K = 256 | 0.408 | 0.500 | 0.603 | 0.625 |" in lines
+    assert "| K = 64 |  | 0.500 |  |  |" in lines
     assert "old" not in lines
     assert lines[-2:] == ["other", END]

@@ -177,7 +177,7 @@ def _agreement_rows(found: Sequence[Agreement]) -> Iterator[Sequence[str]]:
 
 
 def _tau(one: Agreement) -> str:
-    return f"{one.tau:.2f}<br>[{one.low:.2f},&nbsp;{one.high:.2f}]<br>{one.methods} methods"
+    return f"{one.tau:.2f}<br>[{one.low:.2f}, {one.high:.2f}]<br>{one.methods} methods"
 
 
 def _rows(table: Table, folder: str, link: str) -> Iterator[Sequence[str]]:
