@@ -24,6 +24,8 @@ MANY_HYPOTHESES = 180
 LEAST_CELL = 1e-9  # of a cell's probability: less is not told apart, and a file of 5,000 images stays small
 _NEGLIGIBLE = 5.0  # what all components' shares are less by, in logarithms, where they may be left out: under 0.7%
 _SAMPLES = 1024
+_AXIS_SAMPLES = 192  # by which the threshold of a marking that shows is found
+_AXES_OF_SAMPLES = 24  # about which hypotheses are drawn, several about each
 _LEAST_WEIGHT = 0.01  # of a component that is a hypothesis
 _SAME = 6  # decimals to which axes are compared
 
@@ -357,10 +359,6 @@ class MarkedCircleDensity(ImageDensity):
         is_shown = torch.rand(shown.shape, generator=self._rng) < self.probability_shown
         turned = _frames_of(axes, self._body)[:, None] @ self._body.group[torch.where(is_shown, shown, hidden)]
         return turned.transpose(0, 1).flatten(0, 1)[:count].double().numpy()
-
-
-_AXES_OF_SAMPLES = 24
-_AXIS_SAMPLES = 192
 
 
 def _frame(told: AxisMixture, body: Body) -> Tensor:
