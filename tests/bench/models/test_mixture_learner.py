@@ -13,7 +13,7 @@ from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.calibration import _of_image
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import Densities
+from symsol_annot.bench.models.methods.mixture.densities import Densities
 from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
 from symsol_annot.bench.models.methods.mixture.method import METHOD
 from symsol_annot.bench.models.networks.mixtures import PoseMixture

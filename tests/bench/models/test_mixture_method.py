@@ -14,7 +14,8 @@ from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.calibration import climb
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, Densities
+from symsol_annot.bench.models.methods.mixture.densities import Densities
+from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL
 from symsol_annot.bench.models.methods.mixture.method import METHOD, heads_of
 from symsol_annot.bench.models.training import loop
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint

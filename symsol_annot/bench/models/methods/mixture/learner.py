@@ -13,7 +13,8 @@ from symsol_annot.bench.models.devices import training_precision
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.calibration import fit
 from symsol_annot.bench.models.methods.mixture.claims import Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import Densities, ImageDensity
+from symsol_annot.bench.models.methods.mixture.densities import Densities
+from symsol_annot.bench.models.methods.mixture.image_density import ImageDensity
 from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP, MixtureRecipe
 from symsol_annot.bench.models.networks.answers import embeddings_of
 from symsol_annot.bench.models.networks.mixture_network import MixtureNetwork, Told

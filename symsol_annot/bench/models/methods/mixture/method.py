@@ -15,7 +15,8 @@ from symsol_annot.bench.models.methods.method import BALANCED, Asked
 from symsol_annot.bench.models.methods.mixture.body import body_for
 from symsol_annot.bench.models.methods.mixture.cells import grid_of
 from symsol_annot.bench.models.methods.mixture.claims import CLAIM_LOGIT, Calibration
-from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, Densities, ImageDensity, Indices
+from symsol_annot.bench.models.methods.mixture.densities import Densities
+from symsol_annot.bench.models.methods.mixture.image_density import LEAST_CELL, ImageDensity, Indices
 from symsol_annot.bench.models.methods.mixture.learner import MixtureLearner
 from symsol_annot.bench.models.methods.mixture.recipe import CIRCLE, FREE, GROUP, MARKED_CIRCLE, MixtureRecipe
 from symsol_annot.bench.models.networks.backbones import BACKBONES
