@@ -1,9 +1,9 @@
-"""Scores densities on the grids of levels 4 and 5: .venv/bin/python docs/levels.py FOLDER [--object NAME].
+"""Scores densities on the grids of levels 4 and 5: .venv/bin/python docs/levels.py FOLDER [--object NAME] [--seed S].
 
 FOLDER is a working folder of docs/baselines.py: mixtures are asked that are in its `runs`, and retrieval searches the
-train images of its `data`. The images are the first 500 of each published test split, rendered into FOLDER/first.
-docs/results/levels.json keeps the figures, by object, method and level; the table of docs/symsol.md is written from
-that file. Whatever is predicted already is not predicted again.
+train images of its `data`; of a seed other than 0 the mixture alone is asked. The images are the first 500 of each
+published test split, rendered into FOLDER/first. docs/results/levels.json keeps the figures, by object, method and
+level; the table of docs/symsol.md is written from that file. Whatever is predicted already is not predicted again.
 """
 
 import argparse
@@ -25,7 +25,6 @@ RESULTS = PROJECT / "docs" / "results" / "levels.json"
 PAGE = PROJECT / "docs" / "symsol.md"
 LEVELS = (4, 5)
 IMAGES = 500
-METHODS = ("mixture", "retrieval")
 SHOWN = {"at R_gt": "log_likelihood_at_gt", "on the set": "log_likelihood", "ceiling": "log_likelihood_ceiling"}
 FIGURES = (*SHOWN.values(), "log_likelihood_at_gt_ceiling")
 
@@ -35,10 +34,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--object", action="append", required=True, help="may be repeated")
+    parser.add_argument("--seed", type=int, default=0, help="of the mixture's training")
     options = parser.parse_args()
     try:
         for name in options.object:
-            keep(name, measured(options.folder.resolve(), name))
+            keep(name, measured(options.folder.resolve(), name, options.seed))
             put_table(PAGE, Path(__file__).name, table())
     except SymsolError as error:
         sys.exit(f"Error: {error}")
@@ -46,17 +46,17 @@ def main() -> None:
         sys.exit(error.returncode)
 
 
-def measured(folder: Path, name: str) -> dict[str, dict[str, Any]]:
+def measured(folder: Path, name: str, seed: int) -> dict[str, dict[str, Any]]:
     """Return the figures of an object, by method and level; of methods that the folder has."""
     first = folder / "first"
     first.mkdir(exist_ok=True)
     run(first, f"render --object {name} --train 0 --test {IMAGES}")
-    asking = {
-        "mixture": f"predict {folder}/runs/{name}-mixture",
-        "retrieval": f"retrieve data/{name} --views {folder}/data/{name}",
-    }
-    if not (folder / "runs" / f"{name}-mixture").is_dir():
-        del asking["mixture"]
+    mixture = f"mixture-seed-{seed}" if seed else "mixture"
+    asking = {}
+    if (folder / "runs" / f"{name}-{mixture}").is_dir():
+        asking[mixture] = f"predict {folder}/runs/{name}-{mixture}"
+    if not seed:
+        asking["retrieval"] = f"retrieve data/{name} --views {folder}/data/{name}"
     found: dict[str, dict[str, Any]] = {}
     for method, words in asking.items():
         for level in LEVELS:
@@ -95,7 +95,7 @@ def table() -> str:
     for name, by_method in known_results().items():
         for method, by_level in by_method.items():
             cells = [_cell(by_level[str(level)][figure]) for level in LEVELS for figure in SHOWN.values()]
-            lines.append(f"| {name}, {method} | {' | '.join(cells)} |")
+            lines.append(f"| {name}, {method.replace('-seed-', ', seed ')} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
