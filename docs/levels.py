@@ -17,7 +17,7 @@ from typing import Any
 from written_tables import put_table
 
 from symsol_annot.bench.scoring.reports.scores_file import read_scores
-from symsol_annot.errors import SymsolError
+from symsol_annot.errors import SettingsError, SymsolError
 from symsol_annot.system.files import write_atomically
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -48,15 +48,17 @@ def main() -> None:
 
 def measured(folder: Path, name: str, seed: int) -> dict[str, dict[str, Any]]:
     """Return the figures of an object, by method and level; of methods that the folder has."""
+    mixture, asking = f"mixture-seed-{seed}" if seed else "mixture", {}
+    trained = folder / "runs" / f"{name}-{mixture}"
+    if trained.is_dir():
+        asking[mixture] = f"predict {trained}"
+    elif seed:
+        raise SettingsError(f"{trained}: there is no such training; docs/baselines.py mixture --seed {seed} makes it")
+    if not seed:
+        asking["retrieval"] = f"retrieve data/{name} --views {folder}/data/{name}"
     first = folder / "first"
     first.mkdir(exist_ok=True)
     run(first, f"render --object {name} --train 0 --test {IMAGES}")
-    mixture = f"mixture-seed-{seed}" if seed else "mixture"
-    asking = {}
-    if (folder / "runs" / f"{name}-{mixture}").is_dir():
-        asking[mixture] = f"predict {folder}/runs/{name}-{mixture}"
-    if not seed:
-        asking["retrieval"] = f"retrieve data/{name} --views {folder}/data/{name}"
     found: dict[str, dict[str, Any]] = {}
     for method, words in asking.items():
         for level in LEVELS:

@@ -7,6 +7,8 @@ import levels
 import pytest
 from written_tables import END, beginning
 
+from symsol_annot.errors import SettingsError
+
 FIGURE = {"value": 5.25, "low": 5.0, "high": 5.5, "images": 4, "undefined": 0}
 OF_LEVEL = {**dict.fromkeys(levels.FIGURES, FIGURE), "log_likelihood_ceiling": {**FIGURE, "low": 5.25, "high": 5.25}}
 
@@ -38,6 +40,12 @@ def test_methods_that_a_folder_has_are_asked_at_each_level_and_predicted_once(tm
     del ran[:]
     assert levels.measured(tmp_path, "tetX", seed=0) == found
     assert ran == ["render", "score", "score"]
+
+
+def test_a_seed_that_was_not_trained_is_refused_before_anything_is_rendered(tmp_path):
+    with pytest.raises(SettingsError, match=r"tet-mixture-seed-7: there is no such training; docs/baselines.py"):
+        levels.measured(tmp_path, "tet", seed=7)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_objects_methods_stay_beside_one_another_and_the_table_has_both_levels(kept):
