@@ -1,6 +1,7 @@
 """Diffusion: its noise is Brownian motion on SO(3), its score the slope of that density, its samples what fits it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,10 +20,11 @@ from symsol_annot.bench.models.methods.diffusion.method import (
     reverse_walk,
     smoothed_samples,
 )
+from symsol_annot.bench.models.methods.diffusion.noise_levels import MOST_RAD, deviations, level_shares
 from symsol_annot.bench.models.training.checkpoints import open_checkpoint
 from symsol_annot.bench.scoring.scoring import score_file
 from symsol_annot.rotations.grid import equivolumetric_grid
-from symsol_annot.rotations.groups import dihedral_group
+from symsol_annot.rotations.groups import dihedral_group, icosahedral_group
 from symsol_annot.rotations.so3 import uniform_rotations
 from symsol_annot.sets.dataset import load
 
@@ -40,6 +42,27 @@ def test_noise_turns_as_far_as_a_brownian_walk():
         one = float((1.0 + 2.0 * torch.cos(at)).mean())  # the character of degree 1, whose mean is 3 exp(-sigma^2)
         error = float((2.0 * torch.cos(at)).std()) / math.sqrt(len(at))
         assert one == pytest.approx(3.0 * math.exp(-(sigma**2)), abs=4.0 * error + 2e-3)
+
+
+def test_levels_are_log_normal_about_their_median():
+    shares = level_shares(0.15, 0.6)  # whose ends are 4 spreads away
+    logarithms = np.log(deviations())
+    mean = shares @ logarithms
+    assert math.exp(mean) == pytest.approx(0.15, rel=1e-3)
+    assert math.sqrt(shares @ (logarithms - mean) ** 2) == pytest.approx(0.6, rel=1e-3)
+    np.testing.assert_allclose(level_shares(0.0, 1.0), 1.0 / 128)
+    at_the_end = level_shares(MOST_RAD, 0.05)  # cut off, not heaped up
+    assert (at_the_end.argmax(), at_the_end.sum()) == (127, pytest.approx(1.0))
+    assert at_the_end[126] > 0.5 * at_the_end[127]
+
+
+def test_noise_is_drawn_at_the_levels_shares():
+    level, _, _ = HeatKernel(torch.device("cpu"), 0.3, 0.5).draw((100, 2000), torch.Generator().manual_seed(3))
+    assert level.shape == (100, 2000)
+    expected = 200_000 * level_shares(0.3, 0.5)
+    found, often = np.bincount(level.flatten(), minlength=128), expected > 20.0
+    chi_square = ((found - expected)[often] ** 2 / expected[often]).sum()
+    assert chi_square < often.sum() + 5.0 * math.sqrt(2.0 * often.sum())
 
 
 def test_noise_has_no_favourite_axis():
@@ -74,22 +97,72 @@ def test_what_is_to_be_told_points_back():
     assert torch.linalg.cross(xi, wanted).norm(dim=-1).max() < 1e-3
 
 
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"noise_median": 0.01}, "noise_median: expected 0, or 0.012 to 2.0 rad, found 0.01"),
+        ({"noise_median": -0.1}, "noise_median: expected 0, or 0.012 to 2.0 rad, found -0.1"),
+        ({"noise_median": math.nan}, "noise_median: expected 0, or 0.012 to 2.0 rad, found nan"),
+        ({"noise_spread": 0.0}, "noise_spread: expected 0.05 to 10.0, found 0.0"),
+        ({"waves": 5000}, "waves: expected 0 to 4096, found 5000"),
+    ],
+)
+def test_noise_and_waves_that_make_no_sense_are_refused(keys, said):
+    assert list(replace(DIFFUSION, **keys).faults()) == [said]
+
+
 @torch.no_grad()
-def test_the_loss_is_the_square_of_what_is_wrong():
+@pytest.mark.parametrize("median", [0.0, 0.2])
+def test_the_loss_is_the_square_of_what_is_wrong(median):
+    recipe = replace(DIFFUSION, noise_median=median, noise_spread=0.5)
     images = torch.randint(0, 256, (3, 16, 16, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     R_gt = torch.from_numpy(uniform_rotations(3, np.random.default_rng(0))).float()
-    model = METHOD.new_model(DIFFUSION, None, torch.Generator().manual_seed(0)).eval()
-    losses = DiffusionLearner(DIFFUSION, model).losses(Batch(images, R_gt), 0.0, torch.Generator().manual_seed(5))
-    heat = HeatKernel(torch.device("cpu"))
-    level, xi, wanted = heat.draw((3, DIFFUSION.draws), torch.Generator().manual_seed(5))
+    model = METHOD.new_model(recipe, None, torch.Generator().manual_seed(0)).eval()
+    losses = DiffusionLearner(recipe, model).losses(Batch(images, R_gt), 0.0, torch.Generator().manual_seed(5))
+    heat = HeatKernel(torch.device("cpu"), median, 0.5)
+    level, xi, wanted = heat.draw((3, recipe.draws), torch.Generator().manual_seed(5))
     embeddings = model.first_stage(images)
     for i in range(3):
         found = 0.0
-        for j in range(DIFFUSION.draws):
+        for j in range(recipe.draws):
             R = R_gt[i] @ roma.rotvec_to_rotmat(xi[i, j])
             told = model.scores(embeddings[i : i + 1], R[None, None], heat.sigma[level[i, j]][None, None])[0, 0]
-            found += float((told - wanted[i, j]).square().sum()) / DIFFUSION.draws
+            found += float((told - wanted[i, j]).square().sum()) / recipe.draws
         assert float(losses[i]) == pytest.approx(found, rel=1e-4)
+
+
+@pytest.mark.parametrize(("frequencies", "waves"), [(0, 0), (2, 0), (0, 5), (2, 5)])
+def test_rotations_are_told_in_the_encodings_that_are_asked(frequencies, waves):
+    recipe = replace(DIFFUSION, frequencies=frequencies, waves=waves)
+    model = METHOD.new_model(recipe, None, torch.Generator().manual_seed(0))
+    R = torch.from_numpy(uniform_rotations(6, np.random.default_rng(0))).float().reshape(2, 3, 3, 3)
+    encoded = model._encoded(R)
+    assert encoded.shape == (2, 3, 9 + 18 * frequencies + 2 * waves)
+    assert model.scores(torch.zeros(2, 256), R, torch.full((2, 3), 0.1)).shape == (2, 3, 3)
+    with torch.autocast("cpu", torch.bfloat16):
+        torch.testing.assert_close(model._encoded(R), encoded, rtol=0.0, atol=1e-5)
+
+
+def test_waves_tell_a_body_of_sixty_rotations_sooner_than_octaves():
+    group = torch.from_numpy(icosahedral_group()).float()
+    kernel_of_noise, left = HeatKernel(torch.device("cpu"), 0.15, 0.3), {}
+    for frequencies, waves in ((5, 0), (0, 320)):
+        rng = torch.Generator().manual_seed(0)
+        recipe = replace(DIFFUSION, frequencies=frequencies, waves=waves)
+        model = METHOD.new_model(recipe, None, rng)
+        optimiser, image = torch.optim.Adam(model.parameters(), 1e-3), torch.rand(1, 256, generator=rng)
+        shares = []
+        for _ in range(60):
+            level, xi, wanted = kernel_of_noise.draw((1, 512), rng)
+            R = group[torch.randint(60, (1, 512), generator=rng)] @ roma.rotvec_to_rotmat(xi)
+            wrong = (model.scores(image, R, kernel_of_noise.sigma[level]) - wanted).square().mean()
+            optimiser.zero_grad()
+            wrong.backward()
+            optimiser.step()
+            shares.append(float(wrong.detach() / wanted.square().mean()))
+        left[waves] = np.mean(shares[-10:])
+    assert left[320] < 0.7  # of what answering 0 leaves
+    assert left[0] > 0.9
 
 
 class _KnownScore:

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -14,13 +15,15 @@ from symsol_annot.bench.models.networks.rotation_classifier import positional_en
 
 _HIDDEN, _BLOCKS = 384, 3
 _NOISE_FREQUENCIES = 4  # at which the logarithm of the deviation is encoded
+_WAVE_SCALES = (1.5, 24.0)  # from the longest wave's to the shortest's: rad per unit of an entry, a normal's deviation
 
 
 class ScoreNetwork(ReferenceModel):
     """The first stage, and a small network from an embedding, a rotation and a deviation to sigma times the score.
 
     Args:
-        frequencies: F of the positional encoding of rotations.
+        frequencies: F of the positional encoding of a rotation's entries; 0 for none.
+        waves: number of random Fourier features of a rotation (Tancik et al., NeurIPS 2020); 0 for none.
         pretrained: where the backbone begins: "imagenet", the path of a file of its weights, or None, at random.
         rng: draws the weights of what is not pretrained, see `initialise`.
         backbone: of the first stage.
@@ -33,6 +36,7 @@ class ScoreNetwork(ReferenceModel):
     def __init__(
         self,
         frequencies: int,
+        waves: int = 0,
         *,
         pretrained: str | Path | None,
         rng: torch.Generator,
@@ -42,11 +46,15 @@ class ScoreNetwork(ReferenceModel):
         with torch.random.fork_rng(devices=[]):  # torch's layers draw weights that are drawn again below
             super().__init__(backbone, input_size)
             self.of_image = nn.Linear(EMBEDDING_SIZE, _HIDDEN)
-            self.of_rotation = nn.Linear(9 + 18 * frequencies, _HIDDEN)
+            self.of_rotation = nn.Linear(9 + 18 * frequencies + 2 * waves, _HIDDEN)
             self.of_noise = nn.Linear(2 * _NOISE_FREQUENCIES, _HIDDEN)
             self.blocks = nn.ModuleList(_Block() for _ in range(_BLOCKS))
             self.output = nn.Linear(_HIDDEN, 3)
         self.frequencies = frequencies
+        scales = torch.from_numpy(np.geomspace(*_WAVE_SCALES, waves)).float()
+        drawn = scales[:, None] * torch.randn(waves, 9, generator=rng) if waves else None
+        self.waves: Tensor | None
+        self.register_buffer("waves", drawn)
         self.begin(pretrained, rng)
 
     def scores(self, embeddings: Tensor, R: Tensor, sigma: Tensor) -> Tensor:
@@ -57,16 +65,26 @@ class ScoreNetwork(ReferenceModel):
             R: (B, J, 3, 3) noisy rotations.
             sigma: (B, J) their deviations in rad.
         """
-        entries = R.flatten(-2)
-        encoded = torch.cat([entries, positional_encoding(entries, self.frequencies)], dim=-1)
         octaves = 0.5 * math.pi * torch.arange(1, _NOISE_FREQUENCIES + 1, device=sigma.device)
         phases = sigma.log()[..., None] / math.log(0.01) * octaves
         noise = self.of_noise(torch.cat([phases.sin(), phases.cos()], dim=-1))
-        x = self.of_rotation(encoded) + noise
+        x = self.of_rotation(self._encoded(R)) + noise
         image = self.of_image(embeddings)[:, None]
         for block in self.blocks:
             x = block(x, image)
         return single_or_double(self.output(functional.silu(x)))
+
+    def _encoded(self, R: Tensor) -> Tensor:
+        """Return the entries of rotations (..., 3, 3), and what encodes them (..., E), in float32."""
+        entries = R.flatten(-2)
+        parts = [entries]
+        if self.frequencies:
+            parts.append(positional_encoding(entries, self.frequencies))
+        if self.waves is not None:
+            with torch.autocast(R.device.type, enabled=False):  # a phase in bfloat16 would be off by up to 0.1 rad
+                phases = entries @ self.waves.T
+            parts += [phases.sin(), phases.cos()]
+        return torch.cat(parts, dim=-1)
 
 
 class _Block(nn.Module):

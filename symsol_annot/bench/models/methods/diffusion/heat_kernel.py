@@ -9,25 +9,18 @@ relative to uniform, in which angles have the density (1 - cos theta) / pi. Its 
 that is small. The score is the gradient of ln f: d ln f / d theta along n, seen from the turned rotation.
 """
 
+import math
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-LEAST_RAD, MOST_RAD = 0.012, 2.0  # deviations; the last is uniform to 2%
-LEVELS = 128  # of noise, by the same factor from one to the next
+from symsol_annot.bench.models.methods.diffusion.noise_levels import LEVELS, Floats, deviations, level_shares
+
 _ANGLES, _QUANTILES = 4096, 1024
 _TERMS = 40  # of the series, for deviations of _SERIES_FROM_RAD or more; the last is below 1e-80
 _SERIES_FROM_RAD = 0.5  # below, the kernel is a normal distribution's to 1e-8
-
-Floats = npt.NDArray[np.float64]
-
-
-def deviations() -> Floats:
-    """Return the deviations (128,) in rad, ascending."""
-    return np.geomspace(LEAST_RAD, MOST_RAD, LEVELS)
 
 
 class HeatKernel:
@@ -35,14 +28,17 @@ class HeatKernel:
 
     Args:
         device: of the tables.
+        median_rad: the deviation that half of what is drawn lies below, see `level_shares`; 0 for all levels alike.
+        spread: of the deviation's logarithm.
 
     Attributes:
         sigma: (128,) deviations in rad, ascending.
     """
 
-    def __init__(self, device: torch.device) -> None:
+    def __init__(self, device: torch.device, median_rad: float = 0.0, spread: float = 1.0) -> None:
         quantiles, slopes = _tables()
         self.sigma = torch.from_numpy(deviations()).float().to(device)
+        self._shares = torch.from_numpy(level_shares(median_rad, spread)).float().to(device)
         self._quantiles = torch.from_numpy(quantiles).float().to(device)
         self._slopes = torch.from_numpy(slopes).float().to(device)
 
@@ -54,7 +50,7 @@ class HeatKernel:
             (*shape, 3).
         """
         device = rng.device
-        level = torch.randint(LEVELS, shape, generator=rng, device=device)
+        level = torch.multinomial(self._shares, math.prod(shape), replacement=True, generator=rng).reshape(shape)
         place = torch.rand(shape, generator=rng, device=device) * (_QUANTILES - 1)
         below = place.long().clamp(max=_QUANTILES - 2)
         part = place - below

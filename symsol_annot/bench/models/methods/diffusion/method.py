@@ -20,7 +20,8 @@ from symsol_annot.bench.models.batches import Batch
 from symsol_annot.bench.models.devices import training_precision
 from symsol_annot.bench.models.methods.ahead import looking_ahead
 from symsol_annot.bench.models.methods.classifier.negatives import random_rotations
-from symsol_annot.bench.models.methods.diffusion.heat_kernel import LEAST_RAD, MOST_RAD, HeatKernel
+from symsol_annot.bench.models.methods.diffusion.heat_kernel import HeatKernel
+from symsol_annot.bench.models.methods.diffusion.noise_levels import LEAST_RAD, MOST_RAD
 from symsol_annot.bench.models.methods.diffusion.recipe import DiffusionRecipe
 from symsol_annot.bench.models.methods.embedded import BLOCK, embedded_blocks
 from symsol_annot.bench.models.methods.method import Asked
@@ -51,7 +52,7 @@ class DiffusionLearner:
 
     def __init__(self, recipe: DiffusionRecipe, model: ScoreNetwork) -> None:
         self.recipe, self.model = recipe, model
-        self._kernel = HeatKernel(model.device)
+        self._kernel = HeatKernel(model.device, recipe.noise_median, recipe.noise_spread)
 
     def losses(self, batch: Batch, epoch: float, rng: torch.Generator) -> Tensor:  # noqa: ARG002
         """Return the mean square (B,) of what is wrong with sigma times the score, over an image's draws."""
@@ -136,7 +137,12 @@ class DiffusionMethod:
         """Return a recipe's network."""
         backbone = BACKBONES[recipe.backbone]
         return ScoreNetwork(
-            recipe.frequencies, pretrained=pretrained, rng=rng, backbone=backbone, input_size=recipe.input_size
+            recipe.frequencies,
+            recipe.waves,
+            pretrained=pretrained,
+            rng=rng,
+            backbone=backbone,
+            input_size=recipe.input_size,
         )
 
     def learner(
