@@ -58,7 +58,7 @@ CLASSIFIER = ClassifierRecipe(
 )
 MIXTURE = MixtureRecipe(**_COMMON, structure="free", components=3, members=4)
 IMPLICIT_PDF = ImplicitPdfRecipe(**_COMMON, queries=16)
-DIFFUSION = DiffusionRecipe(**_COMMON, draws=4, samples=8, steps=3)
+DIFFUSION = DiffusionRecipe(**_COMMON, draws=4, samples=8, hypotheses=5, steps=3)
 RECIPES: dict[str, Recipe] = {
     "hypotheses": HYPOTHESES,
     "classifier": CLASSIFIER,

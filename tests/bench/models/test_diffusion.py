@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 import roma
@@ -104,6 +105,7 @@ def test_what_is_to_be_told_points_back():
         ({"noise_median": -0.1}, "noise_median: expected 0, or 0.012 to 2.0 rad, found -0.1"),
         ({"noise_median": math.nan}, "noise_median: expected 0, or 0.012 to 2.0 rad, found nan"),
         ({"noise_spread": 0.0}, "noise_spread: expected 0.05 to 10.0, found 0.0"),
+        ({"hypotheses": 9}, "hypotheses: expected 1 to 8, found 9"),
         ({"waves": 5000}, "waves: expected 0 to 4096, found 5000"),
     ],
 )
@@ -218,6 +220,8 @@ def test_a_checkpoint_answers_with_its_samples_and_their_density(trained, data, 
     with load(data / "tetX") as test:
         path = tmp_path / "preds.h5"
         assert predict(checkpoint, test, path, torch.device("cpu"), level=1) == ("hypotheses", "density")
+    with h5py.File(path) as file:
+        assert file["hypotheses"].shape[1] == DIFFUSION.hypotheses
     _, log_p = density_rows(path)[1]
     assert np.exp(log_p).sum() <= 1.0 + 1e-4
     assert set(score_file(path, data).tracks) == {"hypotheses", "density"}

@@ -153,6 +153,11 @@ def test_of_spherex_alone_statistics_are_those_of_many_images(name):
     assert {recipe(name, other).statistics_images for other in ("tet", "cube", "icosa", "cone", "cyl", "tetX")} == {0}
 
 
+@pytest.mark.parametrize(("of", "expected"), [("icosa", 75), ("tet", 30), ("cylO", 30), ("sphereX", 30)])
+def test_a_diffusion_lists_as_many_hypotheses_as_the_thesis(of, expected):
+    assert recipe("diffusion", of).hypotheses == expected
+
+
 @pytest.mark.parametrize("name", ["tet", "cyl", "tetX", "cylO", "sphereX"])
 def test_the_mixture_of_64_pixels_differs_in_its_input_alone(name):
     larger, plain = recipe("mixture-64", name), recipe("mixture", name)

@@ -40,7 +40,6 @@ from symsol_annot.rotations.so3 import Rotations
 from symsol_annot.sets.dataset import Dataset
 from symsol_annot.sets.shard.labels import Labels
 
-HYPOTHESES = 30
 _EVALUATED, _CALIBRATED = 128, 256  # images
 _EMBEDDED_AT_ONCE, _SAMPLED_AT_ONCE = 64, 16  # images
 _SAMPLES_KEPT = 2**13 // _SAMPLED_AT_ONCE  # of some 150 kB for 16 images, from track to track
@@ -63,8 +62,8 @@ class DiffusionLearner:
         return (told - wanted).square().sum(-1).mean(1)
 
     def evaluate(self, images: Tensor, labels: Labels) -> Figures:
-        """Return recall and precision (section 5.2) of 30 samples for each of up to 128 images (N, H, W, 3), uint8."""
-        drawn = self._samples(images[:_EVALUATED], HYPOTHESES)
+        """Return recall and precision (section 5.2) of M samples for each of up to 128 images (N, H, W, 3), uint8."""
+        drawn = self._samples(images[:_EVALUATED], self.recipe.hypotheses)
         return hypothesis_figures(labels, drawn)
 
     def calibrate(self, images: Tensor, labels: Labels) -> dict[str, float]:
@@ -169,7 +168,7 @@ class DiffusionMethod:
             return log_p
 
         with torch.no_grad(), looking_ahead(len(dataset)) as ahead:
-            write_hypotheses(path, dataset, lambda i: samples(i)[:HYPOTHESES], method=by, resume=resume)
+            write_hypotheses(path, dataset, lambda i: samples(i)[: recipe.hypotheses], method=by, resume=resume)
             write_cells(
                 path, dataset, cells, method=by, floor=LEAST_CELL, level=asked.level, resume=resume, around=ahead
             )

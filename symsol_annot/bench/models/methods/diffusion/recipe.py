@@ -25,7 +25,8 @@ class DiffusionRecipe(TrainingKeys):
         noise_spread: the standard deviation of the noise's logarithm, where there is a median.
         frequencies: F of the positional encoding of rotations; 0 for none.
         waves: how many random Fourier features encode rotations; 0 for none.
-        samples: rotations that are drawn per image when it is asked.
+        samples: rotations that are drawn per image when it is asked, of which the density is made.
+        hypotheses: how many of them are listed, M.
         steps: of noise that is taken away, from the most to the least.
         start: of the backbone: published weights by their name, or "random".
         backbone: of the first stage, by its name.
@@ -37,6 +38,7 @@ class DiffusionRecipe(TrainingKeys):
     frequencies: int = 5
     waves: int = field(default=0, metadata={LEFT_OUT: True})
     samples: int = 128
+    hypotheses: int = 30
     steps: int = 40
     start: Literal["imagenet", "random"] = "random"
     backbone: Annotated[str, OneOf(BACKBONES)] = backbone_key(RESNET18)
@@ -52,6 +54,7 @@ class DiffusionRecipe(TrainingKeys):
             waves=(0, _MAX_WAVES),
             samples=(1, _MAX_SAMPLES),
             steps=(2, _MAX_STEPS),
+            hypotheses=(1, self.samples),
         )
         if self.noise_median and not LEAST_RAD <= self.noise_median <= MOST_RAD:
             yield f"noise_median: expected 0, or {LEAST_RAD} to {MOST_RAD} rad, found {self.noise_median}"
