@@ -51,7 +51,7 @@ class Run:
         name: of the result, like "hypotheses (M = 30)".
         warnings: why it does not rank.
         metrics: those of the scorer's table.
-        predicted: for each image of the split.
+        predicted: for each image that is shown, the first of the split.
     """
 
     source: int
@@ -94,7 +94,10 @@ def read_runs(
         with open_predictions(path, data) as predictions:
             number = _source_of(path, predictions.truth, sources)
             scores = score(predictions, on_images)
-            runs += [_run(number, predictions, reader, scores.tracks[reader.name]) for reader in predictions.readers]
+            shown = len(sources[number].dataset)
+            runs += [
+                _run(number, predictions, reader, scores.tracks[reader.name], shown) for reader in predictions.readers
+            ]
     keys = [(run.source, run.method, run.track) for run in runs]
     if len(set(keys)) < len(keys):
         raise ScoresError("two of the predictions files are the same track of the same method; give each once")
@@ -110,8 +113,8 @@ def _source_of(path: Path, truth: Truth, sources: Sequence[Source]) -> int:
     raise PredictionsError(str(path), [fault])
 
 
-def _run(source: int, predictions: Predictions, reader: TrackReader, scores: TrackScores) -> Run:
-    predicted = tuple(predictions.proposals(reader))
+def _run(source: int, predictions: Predictions, reader: TrackReader, scores: TrackScores, shown: int) -> Run:
+    predicted = tuple(predictions.proposals(reader, shown))
     metrics = tuple(_metrics(reader.name, scores))
     return Run(source, predictions.method, reader.name, scores.name, scores.warnings, metrics, predicted)
 

@@ -84,6 +84,19 @@ def test_more_rotations_than_a_plot_holds_are_counted(monkeypatch, data, preds):
     assert run.predicted[0].weights.tolist() == [1.0, 0.5, 0.25]
 
 
+def test_all_images_are_scored_and_those_shown_alone_are_drawn(data, preds):
+    for name in ("tetX", "cylO"):
+        whole = read_runs([preds[name]], data, open_sources(data / name))
+        first = read_runs([preds[name]], data, open_sources(data / name, limit=2))
+        assert len(first) == len(whole) > 0
+        for few, all_of_them in zip(first, whole, strict=True):
+            assert len(few.predicted) == 2 < len(all_of_them.predicted)
+            for one, same in zip(few.predicted, all_of_them.predicted, strict=False):
+                np.testing.assert_array_equal(one.rotations, same.rotations)
+            np.testing.assert_array_equal(few.leading.values, all_of_them.leading.values)
+            assert len(few.leading.values) == len(all_of_them.predicted)
+
+
 def test_predictions_about_images_that_are_not_shown_are_refused(data, preds, tmp_path):
     with pytest.raises(PredictionsError, match="is about tetX test, which the gallery does not show; it shows cylO"):
         read_runs([preds["tetX"]], data, open_sources(data / "cylO"))

@@ -96,8 +96,8 @@ class Predictions:
             for fault in error.faults:
                 self.faults.add(THE_FILE, fault)
 
-    def proposals(self, reader: TrackReader) -> list[Predicted]:
-        """Return what a track says of each image of its split, as pictures show it.
+    def proposals(self, reader: TrackReader, first: int | None = None) -> list[Predicted]:
+        """Return what a track says of the first images of its split, or of all, as pictures show it.
 
         Raises:
             PredictionsError: the contents have faults, all of which it lists.
@@ -106,7 +106,8 @@ class Predictions:
         found: dict[int, Predicted] = {}
         for block in self.blocks(reader):
             for row, image in enumerate(block.image_index):
-                found[int(image)] = read(block, row)
+                if first is None or image < first:
+                    found[int(image)] = read(block, row)
         self.raise_faults()
         return [found[image] for image in sorted(found)]
 
