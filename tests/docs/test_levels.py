@@ -48,6 +48,15 @@ def test_a_seed_that_was_not_trained_is_refused_before_anything_is_rendered(tmp_
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_was_asked_on_all_bodies_of_symsol_i_has_a_mean(kept):
+    for number, name in enumerate(levels.SYMSOL_I):
+        of_level = {figure: {**FIGURE, "value": 2.0 + number} for figure in levels.FIGURES}
+        levels.keep(name, {"retrieval": {"4": of_level, "5": OF_LEVEL}, f"of-{name}": {"4": OF_LEVEL, "5": OF_LEVEL}})
+        assert ("mean of" in levels.table()) == (name == levels.SYMSOL_I[-1])
+    (mean,) = [line for line in levels.table().splitlines() if "mean of" in line]
+    assert mean == "| mean of cone, cube, cyl, icosa, tet, retrieval | 4.000 | 4.000 | 4.000 | 5.250 | 5.250 | 5.250 |"
+
+
 def test_an_objects_methods_stay_beside_one_another_and_the_table_has_both_levels(kept):
     levels.keep("tetX", {"retrieval": {"4": OF_LEVEL, "5": OF_LEVEL}})
     levels.keep("icosa", {"retrieval": {"4": OF_LEVEL, "5": OF_LEVEL}})
