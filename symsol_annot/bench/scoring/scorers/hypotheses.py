@@ -32,7 +32,7 @@ F_UNWEIGHTED = HYPOTHESES.ranked_by_if_there
 # Neighbours on the lattice are 1, 2, .. degrees apart, which is where the thresholds lie. An angle to a rotation that
 # was rounded to float32, or multiplied in it, is off by less than the slack (docs/metrics.md, "Angles").
 SLACK_RAD = 1e-6
-EXACT_RAD = 1e-3  # 0.06 degrees, a fifteenth of the thesis's best; no method reads that from pixels
+EXACT_RAD = 1e-3  # 0.06 degrees, a tenth of the thesis's best; no method reads that from pixels
 THRESHOLDS_RAD = np.radians(ANGLES_DEG) + SLACK_RAD
 _RANKED_RAD = float(np.radians(RANKED_ANGLE_DEG)) + SLACK_RAD
 _CHANCE_IMAGES, _CHANCE_HYPOTHESES = 64, 256  # are drawn at the most, to tell what chance gives
