@@ -20,6 +20,7 @@ import time
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -206,7 +207,8 @@ def result(row: Row, digests: Mapping[str, str], earlier: Earlier) -> str:
     records = {name: finished_record(row, name) for name in digests} if row.is_trained else {}
     scored, predicted = read_note(row.note("score")), {name: read_note(row.note(f"{name}-predict")) for name in digests}
     made_by = (row.train_command, row.predict_command) if row.is_trained else (row.predict_command,)
-    words = [command(name) for name in names for command in made_by]
+    before_by = commands_of_objects(earlier)
+    by = {name: before_by[name] if name in kept else [" ".join(words(name)) for words in made_by] for name in names}
     before, now = earlier.account["hardware"] if kept else "", hardware_in_words(records, predicted)
     head = {
         "title": row.title,
@@ -216,7 +218,7 @@ def result(row: Row, digests: Mapping[str, str], earlier: Earlier) -> str:
         "method": row.method,
         "input_px": input_px(records) if row.is_trained else retrieval.DEFAULT_SIZE,
         **row.knowledge(),
-        "commands": [" ".join(command) for command in (*words, row.score_command(names))],
+        "commands": [*chain.from_iterable(by.values()), " ".join(row.score_command(names))],
     }
     lines = [f"{key} = {json.dumps(value, indent=4, ensure_ascii=False)}" for key, value in head.items()]
     lines += (
@@ -233,6 +235,13 @@ def result(row: Row, digests: Mapping[str, str], earlier: Earlier) -> str:
         lines += [f"\n[objects.{name}]", *training_lines(records.get(name), predicted[name])]
         lines += [f'predictions_sha256 = "{digests[name]}"']
     return "\n".join(lines) + "\n"
+
+
+def commands_of_objects(earlier: Earlier) -> dict[str, list[str]]:
+    """Return the commands that an earlier result names for each of its objects: all but the last, which scores."""
+    names, lines = list(earlier.account.get("objects", {})), earlier.account.get("commands", [])[:-1]
+    each = len(lines) // max(1, len(names))
+    return {name: lines[k * each : (k + 1) * each] for k, name in enumerate(names)}
 
 
 def training_lines(record: TrainingRecord | None, predicted: Mapping[str, Any]) -> list[str]:

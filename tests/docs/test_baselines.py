@@ -256,14 +256,16 @@ def test_objects_that_a_result_has_already_are_kept_when_others_are_added(made):
     earlier = read_scores(scores_file)
     write_scores(scores_file, {**earlier, "objects": {"cylO": earlier["objects"]["tetX"]}})
     for file in (made.place / f"{RECIPE}.toml", made.place / "set.toml"):
-        file.write_text(file.read_text().replace("tetX", "cylO"))
+        file.write_text(file.read_text().replace("tetX", "cylO").replace('.h5",', '.h5 --compile",'))
     with (made.place / "set.toml").open("a") as file:
         file.write(f'tetX = "{earlier["objects"]["tetX"]["fingerprint"]}"\n')
     minutes = account(made)["score_minutes"]
     baselines.make(baseline_rows.row_of(RECIPE, "small", 0, made.folder), ["tetX"], baselines.STEPS)
     assert account(made)["objects"] == {"cylO": before, "tetX": before}
     assert account(made)["score_minutes"] == pytest.approx(2 * minutes, abs=0.11)
-    assert [words.split()[1] for words in account(made)["commands"]] == [*("train", "predict") * 2, "score"]
+    *of_objects, scored = account(made)["commands"]
+    assert [words.split()[1] for words in (*of_objects, scored)] == [*("train", "predict") * 2, "score"]
+    assert [words.endswith(" --compile") for words in of_objects] == [False, True, False, False]  # as it was made
     assert list(read_scores(scores_file)["objects"]) == ["cylO", "tetX"]
     make(made, steps=["write"])  # all of them are there: nothing is doubled
     assert account(made)["objects"] == {"cylO": before, "tetX": before}
