@@ -153,6 +153,15 @@ def test_of_spherex_alone_statistics_are_those_of_many_images(name):
     assert {recipe(name, other).statistics_images for other in ("tet", "cube", "icosa", "cone", "cyl", "tetX")} == {0}
 
 
+def test_a_diffusion_of_bodies_without_a_marking_tells_rotations_by_waves():
+    for of in UNMARKED:
+        made = recipe("diffusion", of)
+        assert (made.waves, made.frequencies, made.noise_median, made.draws) == (320, 0, 0.15, 64)
+    for of in (*MARKED, "sphereX"):
+        made = load_recipe("diffusion").for_object(of, has_marking=True)
+        assert (made.waves, made.frequencies, made.noise_median, made.draws) == (0, 5, 0.0, 32)
+
+
 @pytest.mark.parametrize(("of", "expected"), [("icosa", 75), ("tet", 30), ("cylO", 30), ("sphereX", 30)])
 def test_a_diffusion_lists_as_many_hypotheses_as_the_thesis(of, expected):
     assert recipe("diffusion", of).hypotheses == expected
