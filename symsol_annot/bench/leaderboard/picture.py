@@ -4,7 +4,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ _ROW_INCHES, _LEGEND_INCHES, _MARGIN_INCHES = 0.15, 0.19, 0.75
 _MARKERS = "osD^v<>PX"
 _GREY = "0.45"  # of references, which are hollow
 _LONGEST_LABEL = 60
+_DECIMALS = 3  # of figures, on the page
 _MANY_COUNTS = 4  # of which the least and the largest M are told
 
 
@@ -67,8 +68,17 @@ class Picture:
 
     @property
     def digest(self) -> str:
-        """A SHA-256 of what is shown; the picture's file names it, so that it can be compared on any machine."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()
+        """A SHA-256 of what is shown; the picture's file names it, so that it can be compared on any machine.
+
+        Figures count as the page tells them: their last bits depend on the machine, and on how many threads add up.
+        """
+        told = replace(self, series=tuple(replace(one, points=tuple(map(_told, one.points))) for one in self.series))
+        return hashlib.sha256(repr(told).encode()).hexdigest()
+
+
+def _told(point: Point) -> Point:
+    value, low, high = (round(float(figure), _DECIMALS) + 0.0 for figure in (point.value, point.low, point.high))
+    return replace(point, value=value, low=low, high=high)
 
 
 def picture_name(folder: str, track: str) -> str:

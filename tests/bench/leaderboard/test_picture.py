@@ -103,6 +103,18 @@ def test_the_same_figures_give_the_same_bytes_and_others_another_digest(folder, 
     assert picture_of(folder).digest != made.digest
 
 
+@pytest.mark.parametrize(("off", "is_same"), [(1e-15, True), (-1e-9, True), (2e-3, False)])
+def test_a_figures_last_bits_are_another_machines_and_its_third_decimal_is_not(off, is_same, folder):
+    made = picture_of(folder)
+    moved = tuple(
+        dataclasses.replace(
+            series, points=tuple(dataclasses.replace(point, low=point.low + off) for point in series.points)
+        )
+        for series in made.series
+    )
+    assert (dataclasses.replace(made, series=moved).digest == made.digest) == is_same
+
+
 @pytest.mark.parametrize("title", ["$x^2", "_hidden", "<b>&--></b>", "\\u001b[2J\\nx", "é" * 500])
 def test_words_of_unknown_origin_are_words_in_the_picture(title, folder, tmp_path):
     change_of("far.toml", "The far one", title)(folder / "tiny")
